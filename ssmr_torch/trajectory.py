@@ -59,11 +59,11 @@ class Trajectory:
     def read(self) -> Trajectory:
         return self
 
-    def cut(self, start: int, stop: int | None = None, **changes) -> Trajectory:
-        """The same run without the samples before `start` and from `stop` on."""
-        part = slice(start, stop)
-        return replace(self, time=self.time[part], observation=self.observation[part],
-                       input=self.input[part], **changes)
+    def part(self, start: int, stop: int | None = None, **changes) -> Trajectory:
+        """The samples start ≤ k < stop as a trajectory of their own, with other fields changed by name."""
+        kept = slice(start, stop)
+        return replace(self, time=self.time[kept], observation=self.observation[kept], input=self.input[kept],
+                       **changes)
 
 
 @dataclass(frozen=True)
@@ -77,17 +77,25 @@ class StoredTrajectory:
     name: str
     length: int
     timestep: float
+    first: int = 0
 
     def slice(self, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
         """Observations and inputs of the samples start ≤ k < stop."""
+        rows = slice(self.first + start, self.first + min(stop, self.length))
         with h5py.File(self.path, "r") as file:
             group = file[self.key]
-            return group["observation"][start:stop], group["input"][start:stop]
+            return group["observation"][rows], group["input"][rows]
+
+    def part(self, start: int, stop: int | None = None, **changes) -> StoredTrajectory:
+        """The samples start ≤ k < stop as a trajectory of their own, with other fields changed by name."""
+        stop = self.length if stop is None else min(stop, self.length)
+        return replace(self, first=self.first + start, length=stop - start, **changes)
 
     def read(self) -> Trajectory:
+        rows = slice(self.first, self.first + self.length)
         with h5py.File(self.path, "r") as file:
             group = file[self.key]
-            return Trajectory(group["time"][:], group["observation"][:], group["input"][:],
+            return Trajectory(group["time"][rows], group["observation"][rows], group["input"][rows],
                               self.kind, self.split, self.name)
 
 

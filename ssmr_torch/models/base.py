@@ -66,6 +66,11 @@ class ReducedModel(nn.Module, ABC):
         """Number of values in a window, (n_d + 1) p."""
         return (self.delays + 1) * self.output_dim
 
+    @property
+    @abstractmethod
+    def arguments(self) -> dict:
+        """Constructor arguments, plain values: with the state dict they rebuild the model."""
+
     @abstractmethod
     def encode(self, window: Tensor, inputs: Tensor) -> Tensor:
         """Chart z = v(window): (..., n_d + 1, p), inputs (..., n_d, m) → (..., n)."""

@@ -85,6 +85,12 @@ class SSMR(ContinuousTimeModel):
         self.drift_features = MonomialFeatures(n, dynamics_degree)
         self.control_features = MonomialFeatures(n, control_degree)
 
+    @property
+    def arguments(self) -> dict:
+        return {name: getattr(self, name) for name in (
+            "state_dim", "input_dim", "output_dim", "delays", "parametrization_degree", "dynamics_degree",
+            "control_degree", "chart_degree", "timestep", "window_timestep", "substeps")}
+
     def encode(self, window: Tensor, inputs: Tensor | None = None) -> Tensor:
         return self.chart_features(window.flatten(-2)) @ self.chart.T
 
@@ -136,10 +142,9 @@ class SSMR(ContinuousTimeModel):
     @classmethod
     def from_tables(cls, tables: PolynomialTables) -> SSMR:
         """The Torch model with these tables."""
-        model = cls(tables.state_dim, tables.input_dim, tables.output_dim, tables.delays,
-                    parametrization_degree=tables.parametrization_degree, dynamics_degree=tables.dynamics_degree,
-                    control_degree=tables.control_degree, chart_degree=tables.chart_degree,
-                    timestep=tables.timestep, window_timestep=tables.window_timestep, substeps=tables.substeps)
+        scalars = {field.name: getattr(tables, field.name) for field in fields(tables)
+                   if field.type != "np.ndarray"}
+        model = cls(tables.state_dim, **scalars)
         with torch.no_grad():
             for parameter, array in ((model.chart, tables.chart), (model.parametrization, tables.parametrization),
                                      (model.drift_table, tables.drift), (model.control_table, tables.control),

@@ -1,0 +1,137 @@
+"""A deployable model: a directory with tables, a card, and a reference prediction that loading replays.
+
+    tables.safetensors     the coefficient tables, float64
+    reference.safetensors  seeded windows, states and inputs, and what the model made of them
+    card.json              kind, shapes, units, sampling time, provenance, scores
+
+Loading needs NumPy and safetensors only, and never unpickles anything.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from safetensors.numpy import load_file, save_file
+
+from ssmr_torch.models.polynomial_tables import PolynomialTables
+
+FORMAT = "ssmr_torch artifact 1"
+REPLAY_TOLERANCE = 1e-9
+_TABLES = tuple(field.name for field in fields(PolynomialTables) if field.type == "np.ndarray")
+_SCALARS = tuple(field.name for field in fields(PolynomialTables) if field.type != "np.ndarray")
+
+
+@dataclass(frozen=True)
+class Artifact:
+    """A loaded model and its card."""
+
+    model: PolynomialTables
+    card: dict
+
+
+def save(directory: str | Path, model: PolynomialTables, *, output_names, input_names, rest, input_bounds,
+         input_unit: str = "N", name: str = "SSMR", provenance: dict | None = None,
+         scores: dict | None = None) -> Path:
+    """Write the artifact aside and move it into place; an artifact already there is replaced whole.
+
+    output_names (p,), input_names (m,), rest (p,) m, input_bounds (2, m): what the model was trained on.
+    Raises ValueError when these disagree with the model, a table is not finite, or the directory holds other files.
+    """
+    directory = Path(directory)
+    rest, bounds = np.asarray(rest, dtype=np.float64), np.asarray(input_bounds, dtype=np.float64)
+    _validate(model, output_names, input_names, rest, bounds)
+    if directory.exists() and not (directory / "card.json").is_file() and any(directory.iterdir()):
+        raise ValueError(f"{directory} exists and is not an artifact; choose another directory")
+    card = {"format": FORMAT, "kind": "polynomial", "name": name,
+            "model": {scalar: getattr(model, scalar) for scalar in _SCALARS} | {"state_dim": model.state_dim},
+            "units": {"length": "m", "time": "s", "input": input_unit},
+            "output_names": list(output_names), "input_names": list(input_names), "rest": rest.tolist(),
+            "input_bounds": bounds.tolist(), "provenance": provenance or {}, "scores": scores or {}}
+    aside = directory.with_name(directory.name + ".part")
+    shutil.rmtree(aside, ignore_errors=True)
+    aside.mkdir(parents=True)
+    save_file({table: np.ascontiguousarray(getattr(model, table)) for table in _TABLES}, aside / "tables.safetensors")
+    reference = _reference_inputs(model, bounds)
+    save_file(reference | _predict(model, reference), aside / "reference.safetensors")
+    card["sha256"] = {name: hashlib.sha256((aside / name).read_bytes()).hexdigest()
+                      for name in ("tables.safetensors", "reference.safetensors")}
+    (aside / "card.json").write_text(json.dumps(card, indent=2, allow_nan=False) + "\n")
+    _replace(aside, directory)
+    return directory
+
+
+def load(directory: str | Path) -> Artifact:
+    """Load an artifact and replay its reference prediction.
+
+    Raises FileNotFoundError when it is not there, ValueError when it is damaged, of another format, or no longer
+    predicts what it did when it was written (the message says by how much).
+    """
+    directory = Path(directory)
+    if not (directory / "card.json").is_file():
+        raise FileNotFoundError(f"no artifact at {directory} (no card.json); make one with experiments/export.py")
+    try:
+        card = json.loads((directory / "card.json").read_text())
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{directory / 'card.json'} is not valid JSON ({error}); export the model again") from error
+    if card.get("format") != FORMAT or card.get("kind") != "polynomial":
+        raise ValueError(f"{directory} has format {card.get('format')!r} and kind {card.get('kind')!r}; "
+                         f"this version reads {FORMAT!r} of kind 'polynomial'")
+    for name, expected in card["sha256"].items():
+        path = directory / name
+        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != expected:
+            raise ValueError(f"{path} is missing or differs from what the card records; export the model again")
+    model = PolynomialTables(**load_file(directory / "tables.safetensors"),
+                             **{scalar: card["model"][scalar] for scalar in _SCALARS})
+    _replay(directory, model)
+    return Artifact(model, card)
+
+
+def _validate(model: PolynomialTables, output_names, input_names, rest: np.ndarray, bounds: np.ndarray) -> None:
+    p, m = model.output_dim, model.input_dim
+    if len(output_names) != p or rest.shape != (p,):
+        raise ValueError(f"{len(output_names)} output names and a rest of shape {rest.shape} for a model of {p} outputs")
+    if len(input_names) != m or bounds.shape != (2, m) or (bounds[0] >= bounds[1]).any():
+        raise ValueError(f"{len(input_names)} input names and bounds of shape {bounds.shape} for a model of {m} inputs; "
+                         "expected (2, m) with the lower below the upper")
+    for table in _TABLES:
+        if not np.isfinite(getattr(model, table)).all():
+            raise ValueError(f"the table {table} is not finite; fit the model before saving it")
+
+
+def _reference_inputs(model: PolynomialTables, bounds: np.ndarray) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    states = 0.5 * model.state_scale * rng.uniform(-1, 1, (16, model.state_dim))
+    inputs = bounds[0] + (bounds[1] - bounds[0]) * rng.uniform(0, 1, (16, model.input_dim))
+    windows = np.stack([model.parametrization_monomials(z) @ model.parametrization.T for z in states])
+    return {"state": states, "input": inputs, "window": windows.reshape(16, model.delays + 1, model.output_dim)}
+
+
+def _predict(model: PolynomialTables, reference: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    z, u, window = reference["state"], reference["input"], reference["window"]
+    A, B, c = model.linearize(z, u)
+    return {"encoded": model.encode(window, np.zeros((len(z), model.delays, model.input_dim))),
+            "decoded": model.decode(z), "following": model.step(z, u), "A": A, "B": B, "c": c}
+
+
+def _replay(directory: Path, model: PolynomialTables) -> None:
+    recorded = load_file(directory / "reference.safetensors")
+    for name, values in _predict(model, recorded).items():
+        error = np.abs(values - recorded[name]).max() / max(np.abs(recorded[name]).max(), 1e-300)
+        if not error <= REPLAY_TOLERANCE:
+            raise ValueError(f"{directory} no longer reproduces its reference: {name} differs by {error:.3g} relative, "
+                             f"more than {REPLAY_TOLERANCE:g}; export the model again with this version")
+
+
+def _replace(aside: Path, directory: Path) -> None:
+    old = directory.with_name(directory.name + ".old")
+    shutil.rmtree(old, ignore_errors=True)
+    if directory.exists():
+        os.replace(directory, old)
+    os.replace(aside, directory)
+    shutil.rmtree(old, ignore_errors=True)

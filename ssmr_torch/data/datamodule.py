@@ -1,0 +1,95 @@
+"""The data of one experiment, served to Lightning."""
+
+from __future__ import annotations
+
+import lightning
+from torch.utils.data import DataLoader, Subset
+
+from ssmr_torch.data.windows import RolloutDataset, SegmentDataset, stack_rollouts
+from ssmr_torch.trajectory import TrajectoryDataset
+
+
+class TrajectoryDataModule(lightning.LightningDataModule):
+    """Segments for closed-form fits, rollouts for gradient fits, the same validation and test starts for both.
+
+    validation_share: tail of every controlled training run that is held out when no run is marked "validation".
+    transient: s cut from the start of each training decay. rows: core samples per segment.
+    rollout_horizon, validation_horizon: s. starts: seeded validation and test starts. batch_size: rollouts per step.
+    Call `prepare(fit)` before training: it learns the delays and context that the fit needs.
+    """
+
+    def __init__(self, dataset: TrajectoryDataset, *, validation_share: float = 0.1, transient: float = 0.0,
+                 rows: int = 1024, rollout_horizon: float = 0.4, validation_horizon: float = 1.0, starts: int = 500,
+                 batch_size: int = 64, stride: int = 5, seed: int = 0, num_workers: int = 0):
+        super().__init__()
+        if not 0 <= validation_share < 1:
+            raise ValueError(f"validation_share is {validation_share}; expected 0 ≤ share < 1")
+        if not (rollout_horizon > 0 and validation_horizon > 0 and transient >= 0):
+            raise ValueError(f"rollout_horizon {rollout_horizon} s, validation_horizon {validation_horizon} s and "
+                             f"transient {transient} s; the horizons must be positive, the transient not negative")
+        self.dataset = dataset
+        self.transient, self.rows, self.starts = float(transient), int(rows), int(starts)
+        self.rollout_horizon, self.validation_horizon = float(rollout_horizon), float(validation_horizon)
+        self.batch_size, self.stride, self.seed, self.num_workers = batch_size, stride, seed, num_workers
+        self.training, self.validation = _hold_out(dataset, validation_share)
+        self.test = dataset.select(split="test")
+        self.procedure, self.delays = None, 0
+
+    def prepare(self, fit) -> TrajectoryDataModule:
+        """Serve what this fit needs: segments when it is closed-form, rollouts otherwise."""
+        self.procedure, self.delays = getattr(fit, "procedure", None), fit.model.delays
+        return self
+
+    def train_dataloader(self) -> DataLoader:
+        if self.procedure is None:
+            data = self._rollouts(self.training, self.rollout_horizon, None, self.transient)
+            return DataLoader(self._share(data), self.batch_size, shuffle=True, collate_fn=stack_rollouts,
+                              drop_last=len(data) > self.batch_size, num_workers=self.num_workers)
+        data = SegmentDataset(self.training, before=self.procedure.before, after=self.procedure.after,
+                              rows=self.rows, transient=self.transient)
+        return DataLoader(self._share(data), batch_size=None, shuffle=False, num_workers=self.num_workers)
+
+    def val_dataloader(self) -> list | DataLoader:
+        return self._scored(self.validation)
+
+    def test_dataloader(self) -> list | DataLoader:
+        return self._scored(self.test)
+
+    def transfer_batch_to_device(self, batch, device, dataloader_index):
+        return batch.to(device)
+
+    def _scored(self, trajectories: tuple) -> list | DataLoader:
+        if not trajectories:
+            return []
+        data = self._rollouts(trajectories, self.validation_horizon, self.starts, 0.0)
+        return DataLoader(data, len(data), collate_fn=stack_rollouts, num_workers=self.num_workers)
+
+    def _rollouts(self, trajectories: tuple, horizon: float, starts: int | None, transient: float) -> RolloutDataset:
+        samples = max(round(horizon / self.dataset.timestep), 1)
+        return RolloutDataset(trajectories, delays=self.delays, horizon=samples, starts=starts,
+                              stride=1 if starts else self.stride, seed=self.seed, transient=transient)
+
+    def _share(self, data):
+        """This process's part of the data: each item in exactly one process, none padded or repeated."""
+        trainer = self.trainer
+        if trainer is None or trainer.world_size == 1:
+            return data
+        if len(data) < trainer.world_size:
+            raise ValueError(f"{len(data)} items for {trainer.world_size} processes; use fewer processes or "
+                             "smaller `rows`")
+        return Subset(data, range(trainer.global_rank, len(data), trainer.world_size))
+
+
+def _hold_out(dataset: TrajectoryDataset, share: float) -> tuple[tuple, tuple]:
+    training, validation = dataset.select(split="train"), dataset.select(split="validation")
+    if validation or share == 0:
+        return training, validation
+    kept, held = [], []
+    for trajectory in training:
+        if trajectory.kind != "controlled":
+            kept.append(trajectory)
+            continue
+        boundary = round(trajectory.length * (1 - share))
+        kept.append(trajectory.part(0, boundary))
+        held.append(trajectory.part(boundary, trajectory.length))
+    return tuple(kept), tuple(held)

@@ -1,0 +1,88 @@
+"""Time derivatives of uniformly sampled signals as stencils, and the input that such a difference has felt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import savgol_coeffs
+
+
+@dataclass(frozen=True)
+class Stencil:
+    """dz/dt(t_k) ≈ Σ_j weights[w + j] z(t_{k+j}) / h, j = -w … w.
+
+    weights: (2w + 1,), dimensionless; exact on straight lines (Σ weights = 0, Σ j weights = 1), checked here.
+    """
+
+    weights: tuple[float, ...]
+    name: str = "stencil"
+
+    def __post_init__(self):
+        weights = np.asarray(self.weights, dtype=np.float64)
+        if len(weights) % 2 != 1 or len(weights) < 3:
+            raise ValueError(f"{self.name}: {len(weights)} weights; a centred stencil has an odd number, at least 3")
+        offsets = np.arange(len(weights)) - len(weights) // 2
+        if abs(weights.sum()) > 1e-9 or abs(weights @ offsets - 1) > 1e-9:
+            raise ValueError(f"{self.name}: weights sum to {weights.sum():.3g} and differentiate a unit ramp to "
+                             f"{weights @ offsets:.12g}; expected 0 and 1")
+        object.__setattr__(self, "weights", tuple(weights.tolist()))
+
+    @property
+    def half_width(self) -> int:
+        return len(self.weights) // 2
+
+    def __call__(self, signal, timestep: float):
+        """Signal (T, n) sampled every `timestep` s → derivative (T - 2w, n) at samples w … T - w - 1.
+
+        Works on NumPy arrays and Torch tensors alike. A signal shorter than the stencil gives no rows.
+        """
+        rows = max(len(signal) - 2 * self.half_width, 0)
+        return sum(weight * signal[j:j + rows] for j, weight in enumerate(self.weights)) / timestep
+
+    def held_input(self, inputs):
+        """Input (T, m), held between samples → the mean that the difference has felt, (T - 2w, m).
+
+        For dz/dt = u with u held, Σ_j a_j z_{k+j} / h = Σ_i b_i u_{k+i} with b_i = Σ_{j>i} a_j: the difference around
+        t_k sees the inputs before and after t_k, and taking u_k alone lags by half a sample.
+        """
+        felt = np.cumsum(self.weights[::-1])[::-1][1:]
+        rows = max(len(inputs) - 2 * self.half_width, 0)
+        return sum(float(weight) * inputs[i:i + rows] for i, weight in enumerate(felt))
+
+    def sampled_input(self, inputs):
+        """Input (T, m) at the samples of the derivative, (T - 2w, m)."""
+        rows = max(len(inputs) - 2 * self.half_width, 0)
+        return inputs[self.half_width:self.half_width + rows]
+
+
+def central_difference(order: int = 6) -> Stencil:
+    """Central difference of even order; order 6 has the weights ±3/4, ∓3/20, ±1/60."""
+    if order < 2 or order % 2:
+        raise ValueError(f"central differences of order {order}; expected an even order of at least 2")
+    offsets = np.arange(-order // 2, order // 2 + 1, dtype=np.float64)
+    conditions = np.vander(offsets, increasing=True).T
+    weights = np.linalg.solve(conditions, np.eye(order + 1)[1])
+    return Stencil(tuple(0.5 * (weights - weights[::-1])), f"central difference of order {order}")
+
+
+def savitzky_golay(window: int = 9, degree: int = 4) -> Stencil:
+    """Derivative of the least-squares polynomial of this degree over `window` samples (SciPy's coefficients)."""
+    if window % 2 != 1 or not 1 <= degree < window:
+        raise ValueError(f"Savitzky-Golay with window {window} and degree {degree}; "
+                         "expected an odd window and 1 ≤ degree < window")
+    return Stencil(tuple(savgol_coeffs(window, degree, deriv=1, use="dot")),
+                   f"Savitzky-Golay, {window} samples, degree {degree}")
+
+
+def gaussian(width: float = 1.5) -> Stencil:
+    """Derivative of the signal smoothed by a Gaussian of standard deviation `width` samples (SciPy's filter)."""
+    if not width > 0:
+        raise ValueError(f"Gaussian width {width} samples; expected a positive number")
+    half = int(np.ceil(4 * width))
+    impulse = np.zeros(4 * half + 1)
+    impulse[2 * half] = 1.0
+    weights = gaussian_filter1d(impulse, width, order=1)[half:3 * half + 1][::-1]
+    weights = 0.5 * (weights - weights[::-1])
+    return Stencil(tuple(weights / (weights @ (np.arange(2 * half + 1) - half))), f"Gaussian, {width:g} samples")

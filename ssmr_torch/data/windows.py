@@ -1,0 +1,150 @@
+"""Delay windows and the segments in which long trajectories are streamed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import Dataset
+
+
+def delay_windows(samples, delays: int):
+    """Samples (T, p) → windows (T - n_d, n_d + 1, p), oldest first, labelled by their newest sample.
+
+    Works on NumPy arrays and Torch tensors alike. Raises ValueError when T ≤ n_d.
+    """
+    if len(samples) <= delays:
+        raise ValueError(f"{len(samples)} samples; a window of {delays} delays needs at least {delays + 1}")
+    if isinstance(samples, np.ndarray):
+        return np.lib.stride_tricks.sliding_window_view(samples, delays + 1, axis=0).swapaxes(1, 2)
+    return samples.unfold(0, delays + 1, 1).transpose(1, 2)
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of one trajectory: core samples, which belong to this segment only, and context around them.
+
+    observation (L, p), input (L, m); samples core[0] ≤ i < core[1] of these L are the core.
+    trajectory, index: position of the trajectory in its dataset and of the segment in its trajectory.
+    """
+
+    observation: Tensor
+    input: Tensor
+    timestep: float
+    core: tuple[int, int]
+    kind: str
+    trajectory: int
+    index: int
+
+    def to(self, device) -> Segment:
+        return replace(self, observation=self.observation.to(device), input=self.input.to(device))
+
+    def core_rows(self, rows, first: int):
+        """Of `rows`, whose row r belongs to sample first + r, those that belong to core samples."""
+        return rows[max(self.core[0] - first, 0):max(self.core[1] - first, 0)]
+
+
+@dataclass(frozen=True)
+class SegmentPlan:
+    """Where a segment lies in its trajectory: samples start ≤ k < stop are read, core[0] ≤ k < core[1] are its own."""
+
+    trajectory: int
+    index: int
+    start: int
+    stop: int
+    core: tuple[int, int]
+
+
+class SegmentDataset(Dataset):
+    """Trajectories cut into segments of at most `rows` core samples; each sample is core in exactly one segment.
+
+    before, after: context samples that a row needs on either side (delays and derivative stencil).
+    transient: s cut from the start of every decay. Only one segment is in memory at a time.
+    Raises ValueError when a trajectory ends before its transient.
+    """
+
+    def __init__(self, trajectories: Sequence, *, before: int, after: int, rows: int = 1024, transient: float = 0.0):
+        self.trajectories = tuple(trajectories)
+        self.plans: list[SegmentPlan] = []
+        for number, trajectory in enumerate(self.trajectories):
+            first = round(transient / trajectory.timestep) if trajectory.kind == "decay" else 0
+            if first + before + after >= trajectory.length:
+                raise ValueError(f"trajectory {trajectory.name or number!r} has {trajectory.length} samples; "
+                                 f"a transient of {first} samples and {before + after} samples of context leave none; "
+                                 "shorten the transient or the delays, or drop the trajectory")
+            for index, start in enumerate(range(first, trajectory.length, rows)):
+                stop = min(start + rows, trajectory.length)
+                self.plans.append(SegmentPlan(number, index, max(start - before, first),
+                                              min(stop + after, trajectory.length), (start, stop)))
+
+    def __len__(self) -> int:
+        return len(self.plans)
+
+    def __getitem__(self, item: int) -> Segment:
+        plan = self.plans[item]
+        trajectory = self.trajectories[plan.trajectory]
+        observation, inputs = trajectory.slice(plan.start, plan.stop)
+        core = (plan.core[0] - plan.start, plan.core[1] - plan.start)
+        return Segment(_tensor(observation), _tensor(inputs), trajectory.timestep, core, trajectory.kind,
+                       plan.trajectory, plan.index)
+
+
+@dataclass(frozen=True)
+class RolloutBatch:
+    """Windows (N, n_d + 1, p) with inputs (N, n_d, m), and what followed: inputs (N, H, m) → outputs (N, H, p)."""
+
+    window: Tensor
+    window_inputs: Tensor
+    inputs: Tensor
+    outputs: Tensor
+
+    def to(self, device) -> RolloutBatch:
+        return RolloutBatch(*(getattr(self, name).to(device) for name in self.__dataclass_fields__))
+
+
+class RolloutDataset(Dataset):
+    """Seeded starts in trajectories, each with its window and the H samples that follow; never across two runs.
+
+    starts: number of starts drawn uniformly over all admissible ones, or None for all of them, `stride` apart.
+    Raises ValueError when no trajectory is long enough.
+    """
+
+    def __init__(self, trajectories: Sequence, *, delays: int, horizon: int, starts: int | None = None,
+                 stride: int = 1, seed: int = 0, transient: float = 0.0):
+        self.trajectories, self.delays, self.horizon = tuple(trajectories), delays, horizon
+        admissible = []
+        for number, trajectory in enumerate(self.trajectories):
+            first = round(transient / trajectory.timestep) if trajectory.kind == "decay" else 0
+            newest = np.arange(first + delays, trajectory.length - horizon, stride)
+            admissible.append(np.stack([np.full_like(newest, number), newest], axis=1))
+        everything = np.concatenate(admissible) if admissible else np.zeros((0, 2), dtype=np.int64)
+        if not len(everything):
+            longest = max((t.length for t in self.trajectories), default=0)
+            raise ValueError(f"no start fits: {delays} delays and a horizon of {horizon} samples need "
+                             f"{delays + horizon + 1} samples, the longest of {len(self.trajectories)} trajectories "
+                             f"has {longest}; shorten the horizon")
+        if starts is not None and starts < len(everything):
+            everything = everything[np.random.default_rng(seed).choice(len(everything), starts, replace=False)]
+        self.starts = everything
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    def __getitem__(self, item: int) -> RolloutBatch:
+        number, newest = self.starts[item]
+        observation, inputs = self.trajectories[number].slice(newest - self.delays, newest + self.horizon + 1)
+        observation, inputs, d = _tensor(observation), _tensor(inputs), self.delays
+        return RolloutBatch(observation[:d + 1], inputs[:d], inputs[d:d + self.horizon], observation[d + 1:])
+
+
+def stack_rollouts(items: list[RolloutBatch]) -> RolloutBatch:
+    """One batch from single starts."""
+    return RolloutBatch(*(torch.stack([getattr(item, name) for item in items])
+                          for name in RolloutBatch.__dataclass_fields__))
+
+
+def _tensor(array: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.array(array, dtype=np.float64))

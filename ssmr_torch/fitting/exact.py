@@ -1,0 +1,40 @@
+"""Closed-form least squares in the shape of an optimizer: accumulate the epoch, then step once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import torch
+from torch import Tensor
+
+from ssmr_torch.fitting.statistics import Solution, StreamedRegression, gather
+
+
+class ExactSolve(torch.optim.Optimizer):
+    """Solves the regressions accumulated since the last step, over all processes of a distributed run.
+
+    ridge: relative λ of every regression, a sequence of λ to choose from by cross-validation over the folds, or a
+    mapping {regression name: either}; a regression that a mapping does not name has λ = 0.
+    After `step`, `solutions` holds what was solved; who owns the parameters puts them in place.
+    """
+
+    def __init__(self, parameters: Iterable[Tensor], ridge: float | tuple | Mapping = 0.0):
+        super().__init__(parameters, {})
+        self.ridge = ridge
+        self.regressions: dict[str, StreamedRegression] = {}
+        self.solutions: dict[str, Solution] = {}
+
+    def accumulate(self, name: str, features: Tensor, targets: Tensor, fold: int = 0) -> None:
+        """Add rows, features (N, k) and targets (N, q), to the regression of this name."""
+        self.regressions.setdefault(name, StreamedRegression()).accumulate(features, targets, fold)
+
+    @torch.no_grad()
+    def step(self, closure=None):
+        loss = closure() if closure is not None else None
+        self.solutions = {}
+        for name, regression in sorted(gather(self.regressions).items()):
+            ridge = self.ridge.get(name, 0.0) if isinstance(self.ridge, Mapping) else self.ridge
+            ridge = float(ridge) if isinstance(ridge, (int, float)) else tuple(float(value) for value in ridge)
+            self.solutions[name] = regression.solve(ridge)
+        self.regressions = {}
+        return loss

@@ -1,0 +1,180 @@
+"""Training through Lightning: one score for every model, closed-form fits as stages, gradient fits on rollouts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import lightning
+import torch
+from torch import Tensor, distributed
+from torch.utils.data import DistributedSampler
+
+from ssmr_torch.data.windows import RolloutBatch, Segment, delay_windows
+from ssmr_torch.fitting.exact import ExactSolve
+from ssmr_torch.fitting.scaled_adam import ScaledAdam, table_scales
+from ssmr_torch.fitting.ssmr_least_squares import LeastSquaresModel
+from ssmr_torch.models.base import ReducedModel
+
+
+def rollout_errors(model: ReducedModel, batch: RolloutBatch) -> Tensor:
+    """Root mean square error over the horizon, √(mean_k ‖ŷ_k - y_k‖²), of each start, m; infinite where it diverged."""
+    rollout = model.rollout(model.encode(batch.window, batch.window_inputs), batch.inputs)
+    errors = (model.decode(rollout.states[..., 1:, :]) - batch.outputs).square().sum(-1).mean(-1).sqrt()
+    return torch.where(rollout.diverged_at <= batch.inputs.shape[-2], torch.inf, errors)
+
+
+class ModelFit(lightning.LightningModule):
+    """Holds a model while it is fitted; the validation and test scores are the same for every model.
+
+    card: plain values that travel with the checkpoint (names, units, rest, bounds of the data).
+    validation/rmse, test/rmse: mean over seeded starts of the open-loop error over the horizon, m (infinite when a
+    start diverges, which …/diverged counts); …/rmse_median: their median.
+    """
+
+    def __init__(self, model: ReducedModel):
+        super().__init__()
+        self.model = model
+        self.card: dict = {}
+
+    def on_fit_start(self) -> None:
+        self.double()
+
+    def on_save_checkpoint(self, checkpoint: dict) -> None:
+        kind = type(self.model)
+        checkpoint["model"] = {"class": f"{kind.__module__}.{kind.__qualname__}", "arguments": self.model.arguments}
+        checkpoint["card"] = self.card
+
+    def validation_step(self, batch: RolloutBatch, index: int) -> None:
+        self._score(batch, "validation")
+
+    def test_step(self, batch: RolloutBatch, index: int) -> None:
+        self._score(batch, "test")
+
+    def _score(self, batch: RolloutBatch, split: str) -> None:
+        errors = rollout_errors(self.model, batch)
+        values = {"rmse": errors.mean(), "rmse_median": errors.median(), "diverged": errors.isinf().double().mean()}
+        self.log_dict({f"{split}/{name}": value for name, value in values.items()}, batch_size=len(errors),
+                      prog_bar=split == "validation")
+
+
+class LeastSquaresFit(ModelFit):
+    """Fits a model in closed form: one epoch per stage, each solved at its last batch.
+
+    The solve is the step of the optimizer `ExactSolve`, so that checkpoints, loggers and the validation after the
+    epoch all see the solved parameters. ridge: see `ExactSolve`. folds: cross-validation parts, by trajectory and,
+    within long ones, by contiguous stretches.
+    `solutions` and `conditions` keep what the fit found, for its report.
+    """
+
+    def __init__(self, procedure: LeastSquaresModel, ridge: float | Sequence | dict = 0.0, folds: int = 5):
+        super().__init__(procedure.model)
+        if folds < 2:
+            raise ValueError(f"folds is {folds}; cross-validation needs at least 2")
+        self.procedure, self.ridge, self.folds = procedure, ridge, int(folds)
+        self.automatic_optimization = False
+        self.solutions: dict[str, dict] = {}
+
+    @property
+    def epochs(self) -> int:
+        """Passes over the data that the fit takes."""
+        return len(self.procedure.stages)
+
+    def configure_optimizers(self) -> ExactSolve:
+        return ExactSolve(self.model.parameters(), self.ridge)
+
+    def on_train_start(self) -> None:
+        if isinstance(getattr(self.trainer.train_dataloader, "sampler", None), DistributedSampler):
+            raise ValueError("the trainer would repeat segments to even out the processes, and count them twice; "
+                             "set trainer.use_distributed_sampler=false (the data module shares them out)")
+        # DDP waits for a backward pass that a closed-form fit never makes
+        self.trainer.strategy.model.require_backward_grad_sync = False
+
+    @property
+    def stage(self) -> str:
+        return self.procedure.stages[min(self.current_epoch, self.epochs - 1)]
+
+    @torch.no_grad()
+    def training_step(self, segment: Segment, index: int) -> None:
+        solver = self.optimizers()
+        fold = (segment.trajectory + segment.index) % self.folds
+        for name, rows in self.procedure.regressions(segment, self.stage).items():
+            solver.optimizer.accumulate(name, rows.features, rows.targets, fold)
+        if self.stage == self.procedure.stages[-1]:
+            self._observe_scale(segment)
+        if self.trainer.is_last_batch:
+            solver.step()
+            found = solver.optimizer.solutions
+            self.procedure.assign(self.stage, found)
+            self._record(found)
+
+    def _observe_scale(self, segment: Segment) -> None:
+        windows = delay_windows(segment.observation, self.model.delays)
+        inputs = segment.input[:0].new_zeros(len(windows), self.model.delays, self.model.input_dim)
+        if self.model.delays:
+            inputs = delay_windows(segment.input[:-1], self.model.delays - 1)
+        largest = self.model.encode(windows, inputs).abs().amax(0)
+        scale = self.model.state_scale
+        scale.copy_(torch.where(scale.isinf(), largest, torch.maximum(scale, largest)))
+        if self.trainer.is_last_batch and distributed.is_available() and distributed.is_initialized():
+            distributed.all_reduce(scale, op=distributed.ReduceOp.MAX)
+
+    def _record(self, solutions: dict) -> None:
+        for name, solution in solutions.items():
+            self.solutions[name] = {
+                "rows": solution.rows, "features": solution.coefficients.shape[1], "rank": solution.rank,
+                "condition": solution.condition, "ridge": solution.ridge, "relative_residual": solution.residual,
+                "cross_validation": {f"{ridge:g}": error for ridge, error in solution.validation.items()}}
+            self.log(f"fit/{name}_residual", solution.residual)
+
+    def on_save_checkpoint(self, checkpoint: dict) -> None:
+        super().on_save_checkpoint(checkpoint)
+        checkpoint["solutions"] = self.solutions
+
+    def on_load_checkpoint(self, checkpoint: dict) -> None:
+        self.solutions = checkpoint["solutions"]
+
+
+class GradientFit(ModelFit):
+    """Refines a model by the multi-step rollout loss, mean_k ‖ŷ_k - y_k‖² / ‖y‖²_rms, from where it stands.
+
+    learning_rate: relative to the size of each coefficient's contribution, see `ScaledAdam`. frozen: names of
+    parameters that keep their values (the chart and the parametrization's geometry by default).
+    """
+
+    def __init__(self, model: ReducedModel, *, epochs: int = 20, learning_rate: float = 3e-4,
+                 frozen: Sequence[str] = ("chart", "parametrization"), gradient_clip: float = 1.0):
+        super().__init__(model)
+        if epochs < 1 or not learning_rate > 0:
+            raise ValueError(f"epochs {epochs} and learning_rate {learning_rate}; both must be positive")
+        known = dict(model.named_parameters())
+        unknown = [name for name in frozen if name not in known]
+        if unknown:
+            raise ValueError(f"frozen names {unknown}, but the model's parameters are {sorted(known)}")
+        self.epochs, self.learning_rate, self.gradient_clip = int(epochs), float(learning_rate), gradient_clip
+        for name in frozen:
+            known[name].requires_grad_(False)
+        self.register_buffer("output_power", torch.zeros((), dtype=torch.float64))
+
+    def configure_optimizers(self):
+        trained = {name: p for name, p in self.model.named_parameters() if p.requires_grad}
+        scales = table_scales(self.model)
+        optimizer = ScaledAdam([{"params": [p], "scale": scales.get(name)} for name, p in trained.items()],
+                               lr=self.learning_rate)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, self.epochs)
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "epoch"}}
+
+    def training_step(self, batch: RolloutBatch, index: int) -> Tensor:
+        if self.output_power == 0:
+            self.output_power.copy_(batch.outputs.square().sum(-1).mean())
+        rollout = self.model.rollout(self.model.encode(batch.window, batch.window_inputs), batch.inputs)
+        error = (self.model.decode(rollout.states[..., 1:, :]) - batch.outputs).square().sum(-1).mean(-1)
+        loss = error.mean() / self.output_power
+        self.log("train/loss", loss, prog_bar=True, batch_size=len(error))
+        self.log("train/diverged", (rollout.diverged_at <= batch.inputs.shape[-2]).double().mean(),
+                 batch_size=len(error))
+        return loss
+
+    def configure_gradient_clipping(self, optimizer, gradient_clip_val=None, gradient_clip_algorithm=None) -> None:
+        """Clip the gradient of the scaled coefficients, whose sizes are comparable."""
+        optimizer = getattr(optimizer, "optimizer", optimizer)
+        optimizer.clip(self.gradient_clip)

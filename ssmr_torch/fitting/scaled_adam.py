@@ -1,0 +1,68 @@
+"""Adam on coefficients measured in units of their own effect."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ssmr_torch.models.base import ReducedModel
+from ssmr_torch.models.ssmr import SSMR
+
+
+class ScaledAdam(torch.optim.Adam):
+    """Adam on θ / s for every group that gives a `scale` s of the shape of its one parameter.
+
+    A cubic coefficient of dynamics in metres is a million times a linear one; a step of Adam has one size for all.
+    """
+
+    def __init__(self, groups: list[dict], lr: float):
+        groups = [{**group, "scale": torch.ones_like(group["params"][0]) if group["scale"] is None else group["scale"]}
+                  for group in groups]
+        super().__init__(groups, lr=lr)
+
+    def _scaled(self) -> list[tuple[Tensor, Tensor]]:
+        return [(parameter, group["scale"]) for group in self.param_groups for parameter in group["params"]]
+
+    @torch.no_grad()
+    def clip(self, largest: float) -> None:
+        """Shrink the gradient with respect to θ / s to at most this norm."""
+        pairs = [(p, s) for p, s in self._scaled() if p.grad is not None]
+        norm = sum((p.grad * s).square().sum() for p, s in pairs) ** 0.5
+        for parameter, _ in pairs:
+            parameter.grad.mul_(torch.clamp(largest / (norm + 1e-300), max=1.0))
+
+    @torch.no_grad()
+    def step(self, closure=None):
+        loss = None
+        if closure is not None:
+            with torch.enable_grad():
+                loss = closure()
+        for parameter, scale in self._scaled():
+            parameter.div_(scale)
+            if parameter.grad is not None:
+                parameter.grad.mul_(scale)
+        super().step()
+        for parameter, scale in self._scaled():
+            parameter.mul_(scale)
+        return loss
+
+
+@torch.no_grad()
+def table_scales(model: ReducedModel) -> dict[str, Tensor]:
+    """For each table of an SSMR, s_ij = (size of row i) / (size of monomial j) at the edge of the training data.
+
+    The size of row i is Σ_j |θ_ij| |monomial_j|, so a step of relative size ε changes the row by about ε of itself.
+    Any other model: no scales.
+    """
+    if not isinstance(model, SSMR) or model.state_scale.isinf().any():
+        return {}
+    sizes = {"drift_table": model.drift_features(model.state_scale),
+             "parametrization": model.parametrization_features(model.state_scale)}
+    with_constant = torch.cat([model.state_scale.new_ones(1), model.control_features(model.state_scale)])
+    sizes["control_table"] = with_constant.repeat_interleave(model.input_dim)
+    scales = {}
+    for name, monomials in sizes.items():
+        table = getattr(model, name)
+        row = (table.abs() * monomials).sum(1, keepdim=True).clamp_min(1e-300)
+        scales[name] = row / monomials.clamp_min(1e-300)
+    return scales

@@ -1,0 +1,215 @@
+"""SSMR in closed form: the regressions of each stage, and where their solutions go."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple, Protocol
+
+import torch
+from torch import Tensor, nn
+
+from ssmr_torch.data.derivatives import Stencil, central_difference
+from ssmr_torch.data.windows import Segment, delay_windows
+from ssmr_torch.fitting.statistics import Solution, singular_values
+from ssmr_torch.models.ssmr import SSMR, MonomialFeatures
+
+
+class Regression(NamedTuple):
+    """One batch of rows: targets (N, q) ≈ coefficients · features (N, k)."""
+
+    features: Tensor
+    targets: Tensor
+
+
+class LeastSquaresModel(Protocol):
+    """A model that is fitted in closed form, stage after stage, one pass over the data each."""
+
+    stages: tuple[str, ...]
+    model: nn.Module
+    before: int
+    after: int
+
+    def regressions(self, segment: Segment, stage: str) -> dict[str, Regression]:
+        """The rows that one segment contributes to the regressions of a stage; none for a segment of another kind."""
+
+    def assign(self, stage: str, solutions: Mapping[str, Solution]) -> None:
+        """Put the solutions of a stage in place."""
+
+
+class SSMRLeastSquares(nn.Module):
+    """The three steps of SSMR for control (paper, Eq. 4-11) as stages of linear regressions.
+
+    tangent_space: SVD of the decays' windows; V holds the n leading directions.
+    reparametrization (only if detection_delays > model.delays): z̄ from the long windows; the model's own window is
+        regressed on z̄^{1:n_w}; V = Gram-Schmidt of the linear block V̄, and z = Vᵀ V̄ z̄ (Eq. 10-11).
+    manifold: W, and the chart beyond Vᵀ if chart_degree > 1; with calibration "frozen" also R from the decays.
+    control: "frozen": B and B_r with R kept, from the controlled runs (Eq. 6). "joint": R, B and B_r in one
+        regression over decays and controlled runs, which a few decays do not determine alone.
+
+    parametrization_fit: "graph" keeps the linear block V and regresses W; "full" regresses all of w.
+    input_alignment: "held" pairs each difference with the held inputs it has felt; "sample" with the input at its
+        sample, as the authors do.
+    tangent_data: "decays", or "all" where no decays were recorded.
+    Raises ValueError for options outside these, and where the SVD has fewer directions than state_dim.
+    """
+
+    def __init__(self, model: SSMR, *, derivative: Stencil | None = None, calibration: str = "joint",
+                 parametrization_fit: str = "graph", input_alignment: str = "held",
+                 detection_delays: int | None = None, tangent_data: str = "decays"):
+        super().__init__()
+        for name, value, options in (("calibration", calibration, ("joint", "frozen")),
+                                     ("parametrization_fit", parametrization_fit, ("graph", "full")),
+                                     ("input_alignment", input_alignment, ("held", "sample")),
+                                     ("tangent_data", tangent_data, ("decays", "all"))):
+            if value not in options:
+                raise ValueError(f"{name} is {value!r}; expected one of {options}")
+        if detection_delays is not None and detection_delays < model.delays:
+            raise ValueError(f"detection_delays is {detection_delays}, fewer than the model's {model.delays} delays; "
+                             "detect with at least as many")
+        # not a submodule: the fit that holds this procedure also holds the model, and saves it once
+        self.__dict__["model"] = model
+        self.derivative = derivative or central_difference(6)
+        self.calibration, self.parametrization_fit = calibration, parametrization_fit
+        self.input_alignment, self.tangent_data = input_alignment, tangent_data
+        self.detection_delays = model.delays if detection_delays is None else detection_delays
+        self.reparametrized = self.detection_delays > model.delays
+        self.stages = ("tangent_space", *(("reparametrization",) if self.reparametrized else ()),
+                       "manifold", "control")
+        n, long_window = model.state_dim, (self.detection_delays + 1) * model.output_dim
+        if long_window < n:
+            raise ValueError(f"a window of {long_window} values cannot hold {n} reduced coordinates")
+        self.register_buffer("detection_chart", torch.zeros(n, long_window, dtype=torch.float64))
+        self.register_buffer("singular_values", torch.zeros(long_window, dtype=torch.float64))
+        self.nonlinear_features = MonomialFeatures(n, model.parametrization_degree)
+
+    @property
+    def before(self) -> int:
+        return self.detection_delays + self.derivative.half_width
+
+    @property
+    def after(self) -> int:
+        return self.derivative.half_width
+
+    @torch.no_grad()
+    def regressions(self, segment: Segment, stage: str) -> dict[str, Regression]:
+        decay = segment.kind == "decay"
+        if stage == "tangent_space":
+            chosen = decay or (self.tangent_data == "all" and segment.kind == "controlled")
+            return self._tangent_space(segment) if chosen else {}
+        if stage == "reparametrization":
+            return self._reparametrization(segment) if decay else {}
+        if stage == "manifold":
+            manifold = self._manifold(segment) if decay else {}
+            return manifold | (self._drift(segment) if decay and self.calibration == "frozen" else {})
+        if self.calibration == "frozen":
+            return self._control(segment) if segment.kind == "controlled" else {}
+        return self._dynamics(segment) if segment.kind in ("decay", "controlled") else {}
+
+    @torch.no_grad()
+    def assign(self, stage: str, solutions: Mapping[str, Solution]) -> None:
+        model, n = self.model, self.model.state_dim
+        if stage == "tangent_space":
+            self._assign_tangent_space(solutions["tangent_space"])
+        elif stage == "reparametrization":
+            linear = solutions["reparametrization"].coefficients[:, :n]
+            orthonormal, triangle = torch.linalg.qr(linear)
+            self._set_chart(orthonormal * torch.sign(triangle.diagonal()))
+            self.detection_chart.copy_(model.chart[:, :model.window_dim] @ linear @ self.detection_chart)
+        elif stage == "manifold":
+            if self.parametrization_fit == "full":
+                model.parametrization.copy_(solutions["parametrization"].coefficients)
+            elif model.parametrization_degree > 1:
+                model.parametrization[:, n:] = solutions["parametrization"].coefficients
+            if model.chart_degree > 1:
+                model.chart[:, model.window_dim:] = solutions["chart"].coefficients
+            if "drift" in solutions:
+                model.drift_table.copy_(solutions["drift"].coefficients)
+        else:
+            self._assign_control(solutions)
+
+    def encode_detected(self, segment: Segment) -> Tensor:
+        """Reduced coordinates of the segment's samples from its long windows, (L - detection_delays, n)."""
+        return delay_windows(segment.observation, self.detection_delays).flatten(1) @ self.detection_chart.T
+
+    def _window(self, segment: Segment) -> Tensor:
+        """The model's own windows (newest samples of the long ones), flattened."""
+        return delay_windows(segment.observation, self.detection_delays)[:, -(self.model.delays + 1):].flatten(1)
+
+    def _core(self, segment: Segment, *arrays: Tensor) -> tuple[Tensor, ...]:
+        return tuple(segment.core_rows(array, self.detection_delays) for array in arrays)
+
+    def _tangent_space(self, segment: Segment) -> dict[str, Regression]:
+        long_window = delay_windows(segment.observation, self.detection_delays).flatten(1)
+        (rows,) = self._core(segment, long_window)
+        return {"tangent_space": Regression(rows, rows[:, :0])}
+
+    def _reparametrization(self, segment: Segment) -> dict[str, Regression]:
+        z, window = self._core(segment, self.encode_detected(segment), self._window(segment))
+        return {"reparametrization": Regression(self.nonlinear_features(z), window)}
+
+    def _manifold(self, segment: Segment) -> dict[str, Regression]:
+        model, n = self.model, self.model.state_dim
+        z, window = self._core(segment, self.encode_detected(segment), self._window(segment))
+        features = self.nonlinear_features(z)
+        linear = model.chart[:, :model.window_dim]
+        found = {}
+        if self.parametrization_fit == "full":
+            found["parametrization"] = Regression(features, window)
+        elif model.parametrization_degree > 1:
+            found["parametrization"] = Regression(features[:, n:], window - z @ linear)
+        if model.chart_degree > 1:
+            found["chart"] = Regression(model.chart_features(window)[:, model.window_dim:], z - window @ linear.T)
+        return found
+
+    def _drift(self, segment: Segment) -> dict[str, Regression]:
+        z, rate, _ = self._rates(segment)
+        return {"drift": Regression(self.model.drift_features(z), rate)}
+
+    def _control(self, segment: Segment) -> dict[str, Regression]:
+        z, rate, inputs = self._rates(segment)
+        return {"control": Regression(self.model.control_regressors(z, inputs), rate - self.model.drift(z))}
+
+    def _dynamics(self, segment: Segment) -> dict[str, Regression]:
+        z, rate, inputs = self._rates(segment)
+        features = torch.cat([self.model.drift_features(z), self.model.control_regressors(z, inputs)], dim=1)
+        return {"dynamics": Regression(features, rate)}
+
+    def _rates(self, segment: Segment) -> tuple[Tensor, Tensor, Tensor]:
+        """Core rows of z, dz/dt and the input that belongs to them.
+
+        Decays are seen through the detecting windows; controlled runs, as later in the loop, through the chart.
+        """
+        if segment.kind == "decay":
+            delays, z = self.detection_delays, self.encode_detected(segment)
+        else:
+            delays, z = self.model.delays, self.model.encode(delay_windows(segment.observation, self.model.delays))
+        stencil = self.derivative
+        align = stencil.held_input if self.input_alignment == "held" else stencil.sampled_input
+        rate, felt = stencil(z, segment.timestep), align(segment.input[delays:])
+        middle = z[stencil.half_width:stencil.half_width + len(rate)]
+        return tuple(segment.core_rows(rows, delays + stencil.half_width) for rows in (middle, rate, felt))
+
+    def _assign_tangent_space(self, solution: Solution) -> None:
+        values, vectors = singular_values(solution.factor)
+        self.singular_values.copy_(values)
+        directions = vectors[:, :self.model.state_dim]
+        self.detection_chart.copy_(directions.T)
+        if not self.reparametrized:
+            self._set_chart(directions)
+
+    def _set_chart(self, directions: Tensor) -> None:
+        """v = Vᵀ and the linear block of w = V, for orthonormal V (window, n)."""
+        model = self.model
+        model.chart.zero_()
+        model.parametrization.zero_()
+        model.chart[:, :model.window_dim] = directions.T
+        model.parametrization[:, :model.state_dim] = directions
+
+    def _assign_control(self, solutions: Mapping[str, Solution]) -> None:
+        if self.calibration == "frozen":
+            self.model.control_table.copy_(solutions["control"].coefficients)
+            return
+        coefficients = solutions["dynamics"].coefficients
+        split = len(self.model.drift_features)
+        self.model.drift_table.copy_(coefficients[:, :split])
+        self.model.control_table.copy_(coefficients[:, split:])

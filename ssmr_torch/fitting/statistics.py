@@ -1,0 +1,164 @@
+"""Streamed, mergeable least squares: what is kept of the data is one triangular factor per fold.
+
+The factor R of [features | targets] = Q R holds all that a regression needs, without squaring the condition number
+as normal equations do; factors of two batches, folds or processes merge by one more QR of the two stacked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch import distributed
+
+
+@dataclass(frozen=True)
+class Factor:
+    """Triangular factor (k, k) of the `rows` rows seen so far."""
+
+    triangle: Tensor
+    rows: int
+
+    @staticmethod
+    def of(matrix: Tensor) -> Factor:
+        """Factor of a batch of rows (N, k)."""
+        return Factor(_triangle(matrix), len(matrix))
+
+    def merged(self, other: Factor) -> Factor:
+        """Factor of both sets of rows."""
+        return Factor(_triangle(torch.cat([self.triangle, other.triangle])), self.rows + other.rows)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """coefficients (targets, features) of targets ≈ coefficients · features, and how well they were determined.
+
+    condition: of the features scaled to unit norm. ridge: relative λ, see `solve`. residual: ‖error‖ / ‖targets‖.
+    validation: relative held-out error of each ridge tried, empty when none was. factor: of [features | targets].
+    """
+
+    factor: Factor
+    coefficients: Tensor
+    rows: int
+    condition: float
+    rank: int
+    ridge: float
+    residual: float
+    validation: dict[float, float]
+
+
+class StreamedRegression:
+    """targets ≈ C · features over any number of batches, kept apart by fold for cross-validation.
+
+    accumulate(features (N, k), targets (N, q), fold); `folds` maps fold → Factor of [features | targets].
+    """
+
+    def __init__(self):
+        self.folds: dict[int, Factor] = {}
+        self.split: tuple[int, int] | None = None
+
+    def accumulate(self, features: Tensor, targets: Tensor, fold: int = 0) -> None:
+        split = (features.shape[1], targets.shape[1])
+        if self.split not in (None, split):
+            raise ValueError(f"a batch has {split} features and targets; earlier ones had {self.split}")
+        self.split = split
+        factor = Factor.of(torch.cat([features, targets], dim=1))
+        self.folds[fold] = self.folds[fold].merged(factor) if fold in self.folds else factor
+
+    def total(self, without: int | None = None) -> Factor:
+        """Factor of all folds but one."""
+        kept = [factor for fold, factor in sorted(self.folds.items()) if fold != without]
+        total = kept[0]
+        for factor in kept[1:]:
+            total = total.merged(factor)
+        return total
+
+    def solve(self, ridge: float | tuple[float, ...] = 0.0) -> Solution:
+        """Minimize Σ‖targets - C features‖² + λ Σ_j s_j² ‖C_j‖², s_j² = Σ feature_j²: λ has no unit.
+
+        Several values of λ: the one with the least held-out error over the folds. Raises ValueError when there are
+        fewer rows than needed for any fit, or several λ but only one fold.
+        """
+        if not self.folds:
+            raise ValueError("no rows were accumulated; the training data hold none of this kind")
+        candidates = tuple(ridge) if isinstance(ridge, (tuple, list)) else (float(ridge),)
+        validation = {}
+        if len(candidates) > 1 and self.split[1] > 0:
+            if len(self.folds) < 2:
+                raise ValueError(f"choosing among {len(candidates)} ridges needs at least 2 folds; there is "
+                                 f"{len(self.folds)}; give more trajectories or one ridge")
+            validation = self._cross_validate(candidates)
+            candidates = (min(validation, key=validation.get),)
+        total = self.total()
+        coefficients, condition, rank = _ridge_solution(total, self.split[0], candidates[0])
+        residual = _relative_error(total, self.split[0], coefficients)
+        return Solution(total, coefficients, total.rows, condition, rank, candidates[0], residual, validation)
+
+    def _cross_validate(self, candidates: tuple[float, ...]) -> dict[float, float]:
+        errors = {}
+        parts = {fold: self.total(without=fold) for fold in self.folds}
+        for ridge in candidates:
+            squared = target = 0.0
+            for fold, part in parts.items():
+                coefficients, _, _ = _ridge_solution(part, self.split[0], ridge)
+                error, size = _squared_error(self.folds[fold], self.split[0], coefficients)
+                squared, target = squared + error, target + size
+            errors[ridge] = (squared / max(target, 1e-300)) ** 0.5
+        return errors
+
+
+def gather(regressions: dict[str, StreamedRegression]) -> dict[str, StreamedRegression]:
+    """The regressions over all processes of a distributed run, the same on each of them."""
+    if not (distributed.is_available() and distributed.is_initialized()):
+        return regressions
+    shares: list = [None] * distributed.get_world_size()
+    distributed.all_gather_object(shares, regressions)
+    together: dict[str, StreamedRegression] = {}
+    for share in shares:
+        for name, regression in share.items():
+            whole = together.setdefault(name, StreamedRegression())
+            whole.split = whole.split or regression.split
+            for fold, factor in regression.folds.items():
+                whole.folds[fold] = whole.folds[fold].merged(factor) if fold in whole.folds else factor
+    return together
+
+
+def singular_values(factor: Factor) -> tuple[Tensor, Tensor]:
+    """Singular values (k,) and right singular vectors (k, k), one per column, of the rows behind a factor.
+
+    The sign of each vector is fixed by making its largest component positive.
+    """
+    _, values, rows = torch.linalg.svd(factor.triangle, full_matrices=False)
+    vectors = rows.T
+    largest = vectors.abs().argmax(dim=0)
+    return values, vectors * torch.sign(vectors[largest, torch.arange(vectors.shape[1])])
+
+
+def _triangle(matrix: Tensor) -> Tensor:
+    if len(matrix) < matrix.shape[1]:
+        padding = matrix.new_zeros(matrix.shape[1] - len(matrix), matrix.shape[1])
+        matrix = torch.cat([matrix, padding])
+    return torch.linalg.qr(matrix, mode="r").R
+
+
+def _ridge_solution(factor: Factor, features: int, ridge: float) -> tuple[Tensor, float, int]:
+    triangle, projected = factor.triangle[:features, :features], factor.triangle[:features, features:]
+    scale = torch.linalg.vector_norm(triangle, dim=0)
+    scale = torch.where(scale > 0, scale, torch.ones_like(scale))
+    left, values, right = torch.linalg.svd(triangle / scale, full_matrices=False)
+    kept = values > values[0] * 1e-14 * max(factor.rows, features) ** 0.5
+    weights = torch.where(kept, values / (values**2 + ridge), torch.zeros_like(values))
+    coefficients = (right.T @ (weights[:, None] * (left.T @ projected))) / scale[:, None]
+    condition = float(values[0] / values[-1]) if values[-1] > 0 else float("inf")
+    return coefficients.T.contiguous(), condition, int(kept.sum())
+
+
+def _squared_error(factor: Factor, features: int, coefficients: Tensor) -> tuple[float, float]:
+    error = factor.triangle[:, features:] - factor.triangle[:, :features] @ coefficients.T
+    return float((error**2).sum()), float((factor.triangle[:, features:] ** 2).sum())
+
+
+def _relative_error(factor: Factor, features: int, coefficients: Tensor) -> float:
+    error, size = _squared_error(factor, features, coefficients)
+    return (error / max(size, 1e-300)) ** 0.5

@@ -1,0 +1,122 @@
+"""From a dataset to a fitted model: closed form, then refinement where it is asked for."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import lightning
+import numpy as np
+import torch
+from lightning.pytorch.callbacks import ModelCheckpoint
+
+from ssmr_torch.data.datamodule import TrajectoryDataModule
+from ssmr_torch.data.derivatives import Stencil
+from ssmr_torch.fitting.diagnosis import diagnose
+from ssmr_torch.fitting.dimension import choose_dimension
+from ssmr_torch.fitting.fit import LeastSquaresFit, ModelFit
+from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
+from ssmr_torch.models.base import ReducedModel
+from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.trajectory import TrajectoryDataset
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Training:
+    """A fitted model, its checkpoint, the scores of validation and test (m), and the report of the fit."""
+
+    model: ReducedModel
+    checkpoint: Path
+    scores: dict[str, float]
+    report: dict
+
+
+def least_squares(model: SSMR, *, ridge=0.0, folds: int = 5, derivative: Stencil | None = None,
+                  **options) -> LeastSquaresFit:
+    """Closed-form fit of an SSMR; options as in `SSMRLeastSquares`, ridge and folds as in `LeastSquaresFit`."""
+    return LeastSquaresFit(SSMRLeastSquares(model, derivative=derivative, **options), ridge, folds)
+
+
+def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel], fits: Mapping[str, Callable[..., ModelFit]],
+          module: Callable[..., TrajectoryDataModule], trainer: Callable[..., lightning.Trainer],
+          state_dim: int | str, directory: str | Path, loggers: list | bool = False,
+          resume: bool = False) -> Training:
+    """Fit one model by each of `fits` in turn, score it, and say what the fit found.
+
+    state_dim: a number, or a rule of `choose_dimension`. Checkpoints go to directory/checkpoints/NAME; the best by
+    validation error is kept of a refinement, the last of a closed form. resume: continue from those already there.
+    """
+    directory = Path(directory)
+    prepared = module(dataset=dataset)
+    decays = [run for run in prepared.training if run.kind == "decay"] or list(prepared.training)
+    delays = model.keywords.get("delays", 0) if hasattr(model, "keywords") else 0
+    reduced = model(state_dim=choose_dimension(state_dim, decays, delays, prepared.transient),
+                    input_dim=dataset.input_dim, output_dim=dataset.output_dim, timestep=dataset.timestep)
+    scores, checkpoint, report = {}, None, {}
+    for name, build in fits.items():
+        fit = build(reduced)
+        fit.card = data_card(dataset, prepared.training)
+        checkpoint, scores = _run(fit, prepared.prepare(fit), trainer, directory / "checkpoints" / name, loggers, resume)
+        report[name] = diagnose(fit, prepared.training)
+        for warning in report[name]["warnings"]:
+            log.warning(warning)
+    return Training(reduced, checkpoint, scores, report)
+
+
+def data_card(dataset: TrajectoryDataset, training: tuple) -> dict:
+    """What a deployed model must know of its data: names, units, rest, range of inputs and outputs, provenance."""
+    inputs = np.stack([_range(run, 1) for run in training])
+    outputs = np.stack([_range(run, 0) for run in training])
+    return {"output_names": list(dataset.output_names), "input_names": list(dataset.input_names),
+            "input_unit": dataset.input_unit, "rest": dataset.rest.tolist(),
+            "input_bounds": [inputs[:, 0].min(0).tolist(), inputs[:, 1].max(0).tolist()],
+            "output_range": [outputs[:, 0].min(0).tolist(), outputs[:, 1].max(0).tolist()],
+            "data": dataset.provenance}
+
+
+def load_model(checkpoint: str | Path) -> tuple[ReducedModel, dict]:
+    """The model of a checkpoint and the card of its data; nothing is unpickled but plain values.
+
+    Raises FileNotFoundError, or ValueError for a checkpoint of something else.
+    """
+    if not Path(checkpoint).is_file():
+        raise FileNotFoundError(f"no checkpoint at {checkpoint}; train.py prints the path of the one it writes")
+    stored = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    if "model" not in stored or not str(stored["model"].get("class", "")).startswith("ssmr_torch.models."):
+        raise ValueError(f"{checkpoint} holds no model of this package; expected one written by experiments/train.py")
+    module, _, name = stored["model"]["class"].rpartition(".")
+    model = getattr(importlib.import_module(module), name)(**stored["model"]["arguments"])
+    model.load_state_dict({key.removeprefix("model."): value for key, value in stored["state_dict"].items()
+                           if key.startswith("model.")})
+    return model, stored["card"]
+
+
+def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, directory: Path, loggers,
+         resume: bool) -> tuple[Path, dict[str, float]]:
+    validated = bool(module.validation)
+    closed_form = isinstance(fit, LeastSquaresFit)
+    keep = ModelCheckpoint(dirpath=directory, filename="best", save_last=True, enable_version_counter=False,
+                           monitor="validation/rmse" if validated and not closed_form else None)
+    trainer = build_trainer(max_epochs=fit.epochs, callbacks=[keep], logger=loggers, num_sanity_val_steps=0,
+                            check_val_every_n_epoch=fit.epochs if closed_form else 1)
+    last = directory / "last.ckpt"
+    trainer.fit(fit, module, ckpt_path=str(last) if resume and last.is_file() else None, weights_only=True)
+    chosen = Path(keep.best_model_path or last)
+    fit.model.load_state_dict(load_model(chosen)[0].state_dict())
+    scores = {}
+    for run, available in ((trainer.validate, validated), (trainer.test, bool(module.test))):
+        if available:
+            scores |= run(fit, module, verbose=False)[0]
+    return chosen, {name: float(value) for name, value in scores.items()}
+
+
+def _range(trajectory, which: int) -> np.ndarray:
+    """(2, columns): lowest and highest value, read in stretches."""
+    stretches = [trajectory.slice(start, min(start + 65536, trajectory.length))[which]
+                 for start in range(0, trajectory.length, 65536)]
+    return np.stack([np.min([s.min(0) for s in stretches], axis=0), np.max([s.max(0) for s in stretches], axis=0)])

@@ -1,0 +1,34 @@
+"""Where a result came from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import subprocess
+from datetime import datetime, timezone
+from pathlib import Path
+
+from ssmr_torch import __version__
+
+
+def provenance(configuration: dict | None = None) -> dict:
+    """Package version, git commit (with "+" when the tree has changes), Python, time, and the hash of a configuration."""
+    record = {"package": f"ssmr_torch {__version__}", "commit": _commit(), "python": platform.python_version(),
+              "time": datetime.now(timezone.utc).isoformat(timespec="seconds")}
+    if configuration is not None:
+        text = json.dumps(configuration, sort_keys=True, default=str)
+        record |= {"configuration": configuration, "configuration_hash": hashlib.sha256(text.encode()).hexdigest()[:16]}
+    return record
+
+
+def _commit() -> str | None:
+    here = Path(__file__).parent
+    try:
+        head = subprocess.run(["git", "rev-parse", "--short=12", "HEAD"], cwd=here, capture_output=True, text=True,
+                              check=True).stdout.strip()
+        changed = subprocess.run(["git", "status", "--porcelain", "--untracked-files=no"], cwd=here,
+                                 capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return head + ("+" if changed else "")
