@@ -1,0 +1,123 @@
+"""Time of one control step: `python experiments/benchmarks/control_step.py` (set OMP_NUM_THREADS=1).
+
+A six-dimensional cubic model (three coupled oscillators of about 4 Hz, 5 % damping, four pulling inputs) steers a plant
+with wrong parameters along the fast figure eight, with measurement noise. Prints CPU time per control step.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+from dataclasses import replace
+from time import perf_counter, thread_time
+
+import numba
+import numpy as np
+import proxsuite
+
+from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.models.monomials import count_monomials
+from ssmr_torch.models.polynomial_tables import PolynomialTables
+from ssmr_torch.tasks.references import figure_eight
+
+RANGE = 0.02
+BOUNDS = np.array([[0.0] * 4, [0.6] * 4])
+
+
+def oscillators(seed: int = 0, degree: int = 3, control_degree: int = 1) -> PolynomialTables:
+    """q̈_i + 2 ζ ω_i q̇_i + ω_i² q_i = polynomial(q, q̇) + input, in z = (q, q̇ / ω), observed in full.
+
+    Opposed inputs pull along ±q_0 and ±q_1 (24 mm/N at rest); seed draws frequencies, couplings and nonlinearity.
+    """
+    rng = np.random.default_rng(seed)
+    omega = 2 * np.pi * 4.0 * (1.0 + 0.1 * rng.uniform(-1, 1, 3))
+    drift = np.zeros((6, count_monomials(6, 1, degree)))
+    drift[:3, 3:6] = np.diag(omega)
+    drift[3:, :3], drift[3:, 3:6] = -np.diag(omega), -0.1 * np.diag(omega)
+    offset = 6
+    for power in range(2, degree + 1):
+        columns = count_monomials(6, power, power)
+        size = 0.1 / np.sqrt(columns) / RANGE**(power - 1)
+        drift[3:, offset:offset + columns] = size * omega[:, None] * rng.standard_normal((3, columns))
+        offset += columns
+    pull = 0.024 * np.array([[1, -1, 0, 0], [0, 0, 1, -1], [0.2, 0.2, -0.2, -0.2]])
+    control = np.zeros((6, 1 + count_monomials(6, 1, control_degree), 4))
+    control[3:, 0] = omega[:, None] * pull
+    control[3:, 1:] = omega[:, None, None] * 0.024 * 0.03 / RANGE * rng.standard_normal(control[3:, 1:].shape)
+    return PolynomialTables(
+        chart=np.eye(6), parametrization=np.eye(6), drift=drift, control=control.reshape(6, -1),
+        state_scale=np.full(6, 2 * RANGE), chart_degree=1, parametrization_degree=1, dynamics_degree=degree,
+        control_degree=control_degree, input_dim=4, output_dim=6, delays=0, timestep=0.01, window_timestep=0.01,
+        substeps=1)
+
+
+def perturbed(model: PolynomialTables, relative: float, seed: int = 1) -> PolynomialTables:
+    """The same model with every parameter of its dynamics wrong by a normal relative error."""
+    rng = np.random.default_rng(seed)
+    return replace(model, drift=model.drift * (1 + relative * rng.standard_normal(model.drift.shape)),
+                   control=model.control * (1 + relative * rng.standard_normal(model.control.shape)))
+
+
+class TablesPlant:
+    """A plant that obeys polynomial tables, finely integrated; its state is that of the tables."""
+
+    input_unit = "N"
+
+    def __init__(self, model: PolynomialTables, input_bounds: np.ndarray = BOUNDS):
+        self.model = replace(model, substeps=4)
+        self.timestep, self.input_bounds = model.timestep, np.array(input_bounds)
+        self.output_names = tuple(f"y{i}" for i in range(model.output_dim))
+        self.input_names = tuple(f"u{i}" for i in range(model.input_dim))
+        self.rest = np.zeros(model.output_dim)
+        self.reset()
+
+    def reset(self, seed: int | None = None, state: np.ndarray | None = None) -> np.ndarray:
+        self.state = np.zeros(self.model.state_dim) if state is None else np.array(state, dtype=np.float64)
+        return self.model.decode(self.state)
+
+    def step(self, input: np.ndarray) -> np.ndarray:
+        if np.shape(input) != (self.model.input_dim,) or not np.isfinite(input).all():
+            raise ValueError(f"input is {input}; expected {self.model.input_dim} finite numbers")
+        self.state = self.model.step(self.state, np.clip(input, *self.input_bounds))
+        return self.model.decode(self.state)
+
+
+def measure(horizon: int, laps: float = 6.0) -> dict:
+    """CPU and wall time of every control step of one run, in ms, with what happened in it."""
+    model, task = oscillators(), figure_eight(laps=laps)
+    plant = TablesPlant(perturbed(model, 0.03))
+    controller = ModelPredictiveController(model, task, BOUNDS, horizon=horizon)
+    rng, observation = np.random.default_rng(0), plant.reset()
+    cpu, wall, inputs, errors = [], [], [], []
+    for k in range(round(task.duration / plant.timestep)):
+        measured = observation + 3e-5 * rng.standard_normal(6)
+        starts = thread_time(), perf_counter()
+        command = controller(k * plant.timestep, measured)
+        if not command.held:
+            cpu.append(thread_time() - starts[0])
+            wall.append(perf_counter() - starts[1])
+            inputs.append(command.input)
+            errors.append(observation[:2] - task.reference(k * plant.timestep)[0])
+        observation = plant.step(command.input)
+    saturated = np.isclose(inputs, BOUNDS[1]).any(axis=1).mean()
+    return {"N": horizon, "steps": len(cpu), "cpu": 1e3 * np.array(cpu), "wall": 1e3 * np.array(wall),
+            "failures": sum(controller.fallbacks.values()), "saturated": saturated,
+            "rmse": 1e3 * np.sqrt(np.mean(np.sum(np.square(errors), axis=1)))}
+
+
+def main() -> None:
+    """One line per horizon."""
+    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, "
+          f"OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'unset')}, Python {platform.python_version()}, "
+          f"NumPy {np.__version__}, numba {numba.__version__}, ProxSuite {proxsuite.__version__}")
+    print(f"{'N':>3} {'steps':>6} {'CPU median':>11} {'CPU p99':>8} {'wall median':>12} {'wall p99':>9} "
+          f"{'failures':>9} {'saturated':>10} {'RMSE':>8}")
+    for horizon in (5, 10, 20):
+        r = measure(horizon)
+        cpu, wall = np.percentile(r["cpu"], (50, 99)), np.percentile(r["wall"], (50, 99))
+        print(f"{r['N']:>3} {r['steps']:>6} {cpu[0]:>8.3f} ms {cpu[1]:>5.3f} ms {wall[0]:>9.3f} ms {wall[1]:>6.3f} ms "
+              f"{r['failures']:>9} {100 * r['saturated']:>8.1f} % {r['rmse']:>5.3f} mm")
+
+
+if __name__ == "__main__":
+    main()

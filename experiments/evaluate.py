@@ -1,0 +1,39 @@
+"""Artifacts on trajectories: python experiments/evaluate.py artifact=[DIR,DIR] data.path=FILE.h5"""
+
+from entry import entry_point, save_json, save_result
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+from ssmr_torch import artifact
+from ssmr_torch.evaluation import figures
+from ssmr_torch.evaluation.open_loop import compare_open_loop, format_table
+from ssmr_torch.evaluation.sections import prediction_figures
+from ssmr_torch.provenance import provenance
+
+
+@entry_point("evaluate")
+def main(config, directory):
+    paths = [config.artifact] if isinstance(config.artifact, str) else list(config.artifact)
+    models = artifact.by_name([artifact.load(path) for path in paths])
+    dataset = instantiate(config.data)
+    runs = dataset.select(config.split, config.kind)
+    if not runs:
+        raise ValueError(f"no trajectory has split={config.split} and kind={config.kind}; "
+                         f"there are {sorted({(t.split, t.kind) for t in dataset})}")
+    outputs = dataset.columns(config.outputs)
+    scores = compare_open_loop(models, runs, horizons=list(config.horizons), starts=config.starts,
+                               seed=config.seed, outputs=outputs)
+    table = format_table(scores)
+    (directory / "scores.txt").write_text(table + "\n")
+    save_json(directory / "scores.json", {"scores": {name: score.as_dict() for name, score in scores.items()},
+                                          "provenance": provenance(OmegaConf.to_container(config, resolve=True))})
+    for name, figure in prediction_figures(models, scores, runs, dataset.output_names, outputs).items():
+        figures.save(figure, directory / f"{name}.svg")
+    print(f"{table}\n{directory / 'scores.json'}")
+    first = next(iter(scores.values())).horizons
+    save_result(directory, {f"rmse_{part.label.replace(' ', '')}": part.mean for part in first})
+    return first[-2].mean
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,18 @@
+"""Everything below one directory → report.html: python experiments/report.py directory=outputs/…"""
+
+from entry import entry_point
+
+from ssmr_torch.evaluation.report import write_report
+from ssmr_torch.evaluation.sections import collect_sections
+from ssmr_torch.provenance import provenance
+
+
+@entry_point("report")
+def main(config, directory):
+    sections = collect_sections(config.directory)
+    origin = {name: str(value) for name, value in provenance().items()}
+    print(f"report: {write_report(config.directory, config.title, sections, origin)}")
+
+
+if __name__ == "__main__":
+    main()

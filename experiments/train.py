@@ -1,0 +1,41 @@
+"""Trajectories → model: python experiments/train.py data.path=FILE.h5 model=ssmr; sweeps with -m model=ssmr,sssr"""
+
+import lightning
+from entry import entry_point, save_json, save_result
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+from ssmr_torch.evaluation import figures
+from ssmr_torch.evaluation.sections import training_figures
+from ssmr_torch.fitting.training import train
+from ssmr_torch.provenance import provenance
+
+
+@entry_point("train")
+def main(config, directory):
+    lightning.seed_everything(config.seed, workers=True, verbose=False)
+    dataset = instantiate(config.data)
+    loggers = [instantiate(logger) for logger in config.logger.values()]
+    configuration = OmegaConf.to_container(config, resolve=True)
+    try:
+        for logger in loggers:
+            logger.log_hyperparams(configuration)
+        training = train(dataset, model=instantiate(config.model), module=instantiate(config.module),
+                         fits={name: instantiate(fit) for name, fit in config.fit.items()},
+                         trainer=instantiate(config.trainer), directory=directory, name=config.name,
+                         loggers=loggers, resume=config.resume)
+    finally:
+        for logger in loggers:
+            logger.finalize("success")
+            getattr(logger.experiment, "finish", lambda: None)()
+    origin = provenance(configuration) | {"name": config.name}
+    save_json(directory / "report.json", training.report | {"scores": training.scores, "provenance": origin})
+    for name, figure in training_figures(training.report).items():
+        figures.save(figure, directory / f"{name}.svg")
+    print(training.summary())
+    save_result(directory, {config.metric: training.scores.get(config.metric), **training.scores})
+    return training.scores.get(config.metric)
+
+
+if __name__ == "__main__":
+    main()

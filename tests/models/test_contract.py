@@ -1,0 +1,145 @@
+"""What every reduced model promises. A new model joins by one line in MODELS."""
+
+import io
+
+import numpy as np
+import pytest
+import torch
+
+from ssmr_torch.models.base import DIVERGENCE_FACTOR
+from ssmr_torch.models.ssmr import SSMR
+
+
+def random_ssmr(**options):
+    """A stable polynomial model with an orthogonal chart, small nonlinearities, and a known training range."""
+    model = SSMR(6, 4, 3, timestep=0.02, window_timestep=0.01, substeps=2, **options)
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for table in model.parameters():
+            table.copy_(0.05 * torch.randn(table.shape, generator=generator, dtype=torch.float64))
+        frame = torch.linalg.qr(torch.randn(model.window_dim, 6, generator=generator, dtype=torch.float64)).Q
+        model.chart[:, :model.window_dim] = frame.T
+        model.parametrization[:, :6] = frame
+        complement = torch.eye(model.window_dim, dtype=torch.float64) - frame @ frame.T
+        model.parametrization[:, 6:] = complement @ model.parametrization[:, 6:]
+        blocks = torch.block_diag(*(torch.tensor([[-1.0, w], [-w, -1.0]]) for w in (9.0, 11.0, 14.0))).double()
+        model.drift_table[:, :6] = blocks
+        model.state_scale.fill_(1.0)
+    return model
+
+
+MODELS = {
+    "SSSR": lambda: random_ssmr(delays=1),
+    "SSMR": lambda: random_ssmr(delays=3, parametrization_degree=3, dynamics_degree=3, control_degree=1),
+    "SSMR, constant input matrix": lambda: random_ssmr(delays=2, dynamics_degree=2, control_degree=0),
+    "SSMR, quadratic control field": lambda: random_ssmr(delays=2, dynamics_degree=3, control_degree=2),
+}
+
+
+@pytest.fixture(params=MODELS)
+def model(request):
+    return MODELS[request.param]()
+
+
+@pytest.fixture
+def batch(model):
+    generator = torch.Generator().manual_seed(2)
+    z = 0.3 * torch.randn(7, model.state_dim, generator=generator, dtype=torch.float64)
+    return z, torch.rand(7, model.input_dim, generator=generator, dtype=torch.float64)
+
+
+def test_a_batch_gives_what_its_members_give(model, batch):
+    z, u = batch
+    for together, single in ((model.step(z, u), torch.stack([model.step(a, b) for a, b in zip(z, u)])),
+                             (model.decode(z), torch.stack([model.decode(a) for a in z])),
+                             (model.linearize(z, u).A, torch.stack([model.linearize(a, b).A for a, b in zip(z, u)]))):
+        torch.testing.assert_close(together, single, rtol=1e-12, atol=1e-14)
+
+
+def test_the_linearization_equals_automatic_differentiation(model, batch):
+    z, u = batch
+    expected_A, expected_B = torch.func.vmap(torch.func.jacfwd(model.step, (0, 1)))(z, u)
+    A, B, c = model.linearize(z, u)
+    torch.testing.assert_close(A, expected_A, rtol=1e-11, atol=1e-12)
+    torch.testing.assert_close(B, expected_B, rtol=1e-11, atol=1e-12)
+    torch.testing.assert_close((A @ z[..., None] + B @ u[..., None])[..., 0] + c, model.step(z, u), rtol=1e-12,
+                               atol=1e-13)
+    C, d = model.linearize_output(z)
+    torch.testing.assert_close(C, torch.func.vmap(torch.func.jacfwd(model.decode))(z), rtol=1e-11, atol=1e-12)
+    torch.testing.assert_close((C @ z[..., None])[..., 0] + d, model.decode(z), rtol=1e-12, atol=1e-13)
+
+
+def test_the_linearization_equals_central_differences(model, batch):
+    z, u = (tensor[0].detach() for tensor in batch)
+    A, B, _ = model.linearize(z, u)
+    for matrix, point, at in ((A, z, lambda v: model.step(v, u)), (B, u, lambda v: model.step(z, v))):
+        for j, direction in enumerate(torch.eye(len(point), dtype=torch.float64)):
+            difference = (at(point + 1e-5 * direction) - at(point - 1e-5 * direction)) / 2e-5
+            torch.testing.assert_close(matrix[:, j], difference, rtol=1e-7, atol=1e-8)
+
+
+def test_the_chart_inverts_the_parametrization_on_the_manifold(model, batch):
+    z, _ = batch
+    window = model.decode_window(z)
+    inputs = torch.zeros(len(z), model.delays, model.input_dim, dtype=torch.float64)
+    torch.testing.assert_close(model.encode(window, inputs), z, rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(window[:, -1], model.decode(z), rtol=1e-12, atol=1e-14)
+
+
+def test_a_rollout_is_repeated_steps(model, batch):
+    z, _ = batch
+    inputs = 0.5 * torch.rand(7, 12, model.input_dim, dtype=torch.float64)
+    states, diverged_at = model.rollout(z, inputs)
+    for k in range(12):
+        z = model.step(z, inputs[:, k])
+        torch.testing.assert_close(states[:, k + 1], z, rtol=0, atol=0)
+    assert (diverged_at == 13).all()
+
+
+def test_a_diverging_rollout_is_reported_and_stays_finite(model, batch):
+    z, u = batch
+    inputs = u[:, None].repeat(1, 5, 1)
+    far = 2 * DIVERGENCE_FACTOR * torch.linalg.vector_norm(model.state_scale) / torch.linalg.vector_norm(z[0])
+    start = torch.cat([far * z[:1], z[1:]])
+    states, diverged_at = model.rollout(start, inputs)
+    assert diverged_at[0] == 1 and (diverged_at[1:] == 6).all()
+    assert states.isfinite().all()
+
+
+def test_the_state_dict_and_the_arguments_rebuild_the_model(model, batch):
+    file = io.BytesIO()
+    torch.save({"arguments": model.arguments, "state": model.state_dict()}, file)
+    file.seek(0)
+    stored = torch.load(file, weights_only=True)
+    again = type(model)(**stored["arguments"])
+    again.load_state_dict(stored["state"])
+    torch.testing.assert_close(again.step(*batch), model.step(*batch), rtol=0, atol=0)
+
+
+def test_the_tables_predict_what_the_torch_model_predicts(model, batch):
+    z, u = (tensor.numpy() for tensor in batch)
+    tables = model.tables()
+    window = model.decode_window(batch[0]).detach().numpy()
+    pairs = [(tables.encode(window, None), model.encode(torch.from_numpy(window))),
+             (tables.decode(z), model.decode(batch[0])), (tables.step(z, u), model.step(*batch)),
+             *zip(tables.linearize(z, u), model.linearize(*batch)),
+             *zip(tables.linearize_output(z), model.linearize_output(batch[0]))]
+    for array, tensor in pairs:
+        np.testing.assert_allclose(array, tensor.detach().numpy(), rtol=1e-12, atol=1e-13)
+
+
+def test_another_timestep_is_the_same_flow(model, batch):
+    z, u = batch
+    halves = model.at_timestep(model.timestep / 2)
+    torch.testing.assert_close(halves.step(halves.step(z, u), u), model.step(z, u), rtol=1e-3, atol=1e-6)
+    assert halves.window_timestep == model.window_timestep
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"state_dim": 0}, "positive integer"), ({"delays": -1}, "0 or more"), ({"timestep": 0.0}, "must be positive"),
+    ({"state_dim": 7}, "fewer than the 7 reduced coordinates; use at least 2 delays"),
+    ({"dynamics_degree": 0}, "expected 1 or more"), ({"control_degree": -1}, "0 \\(constant\\) or more"),
+    ({"substeps": 0}, "1 or more")])
+def test_impossible_sizes_are_refused_with_the_numbers(change, message):
+    with pytest.raises(ValueError, match=message):
+        SSMR(**({"state_dim": 6, "input_dim": 4, "output_dim": 3, "delays": 1} | change))
