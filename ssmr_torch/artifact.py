@@ -92,6 +92,28 @@ def load(directory: str | Path) -> Artifact:
     return Artifact(model, card)
 
 
+def by_name(artifacts: list[Artifact]) -> dict[str, PolynomialTables]:
+    """Models by the name on their card; a repeated name is numbered."""
+    models: dict[str, PolynomialTables] = {}
+    for loaded in artifacts:
+        name, number = loaded.card["name"], 2
+        while name in models:
+            name, number = f"{loaded.card['name']} {number}", number + 1
+        models[name] = loaded.model
+    return models
+
+
+def check_plant(loaded: Artifact, plant) -> None:
+    """Raises ValueError when the plant's outputs, inputs or input unit are not those that the model was trained on."""
+    card = loaded.card
+    for what, trained, found in (("outputs", card["output_names"], list(plant.output_names)),
+                                 ("inputs", card["input_names"], list(plant.input_names)),
+                                 ("input unit", card["units"]["input"], plant.input_unit)):
+        if trained != found:
+            raise ValueError(f"the model was trained with {what} {trained}, the plant has {found}; "
+                             "train on data from this plant, or choose the plant that the data came from")
+
+
 def _validate(model: PolynomialTables, output_names, input_names, rest: np.ndarray, bounds: np.ndarray) -> None:
     p, m = model.output_dim, model.input_dim
     if len(output_names) != p or rest.shape != (p,):

@@ -106,7 +106,8 @@ class TrajectoryDataset(Sequence):
     rest: (p,) absolute position of the origin of `observation`, m.
     output_names, input_names: one label per column. input_unit: "N", or "1" for normalized commands.
     provenance: plain JSON values (where the data came from, what the reader assumed).
-    Raises ValueError when two trajectories differ in their numbers of columns or in sampling time.
+    Raises ValueError when two trajectories differ in their numbers of columns, or in sampling time by more than
+    `JITTER_TOLERANCE`.
     """
 
     trajectories: tuple[Trajectory | StoredTrajectory, ...]
@@ -130,6 +131,9 @@ class TrajectoryDataset(Sequence):
             if columns != (self.output_dim, self.input_dim):
                 raise ValueError(f"trajectory {trajectory.name!r} has {columns[0]} outputs and {columns[1]} inputs; "
                                  f"the dataset declares {self.output_dim} and {self.input_dim}")
+            if abs(trajectory.timestep / self.trajectories[0].timestep - 1) > JITTER_TOLERANCE:
+                raise ValueError(f"trajectory {trajectory.name!r} is sampled every {trajectory.timestep:.6g} s, the "
+                                 f"first one every {self.trajectories[0].timestep:.6g} s; resample them alike")
 
     def __len__(self) -> int:
         return len(self.trajectories)
@@ -154,6 +158,13 @@ class TrajectoryDataset(Sequence):
         """Trajectories of this split ("train", "validation", "test") and kind ("decay", "controlled", "static")."""
         return tuple(t for t in self.trajectories
                      if (split is None or t.split == split) and (kind is None or t.kind == kind))
+
+    def columns(self, names: Sequence[str] | None = None) -> list[int]:
+        """Positions of these outputs, of all where none are named. Raises ValueError for an unknown name."""
+        unknown = [name for name in names or () if name not in self.output_names]
+        if unknown:
+            raise ValueError(f"no outputs {unknown}; the dataset has {list(self.output_names)}")
+        return [self.output_names.index(name) for name in (self.output_names if names is None else names)]
 
     def with_trajectories(self, trajectories: Iterable) -> TrajectoryDataset:
         return replace(self, trajectories=tuple(trajectories))

@@ -23,6 +23,12 @@ def rollout_errors(model: ReducedModel, batch: RolloutBatch) -> Tensor:
     return torch.where(rollout.diverged_at <= batch.inputs.shape[-2], torch.inf, errors)
 
 
+def description(model: ReducedModel) -> dict:
+    """Class path and constructor arguments, plain values that rebuild the model."""
+    kind = type(model)
+    return {"class": f"{kind.__module__}.{kind.__qualname__}", "arguments": model.arguments}
+
+
 class ModelFit(lightning.LightningModule):
     """Holds a model while it is fitted; the validation and test scores are the same for every model.
 
@@ -40,8 +46,7 @@ class ModelFit(lightning.LightningModule):
         self.double()
 
     def on_save_checkpoint(self, checkpoint: dict) -> None:
-        kind = type(self.model)
-        checkpoint["model"] = {"class": f"{kind.__module__}.{kind.__qualname__}", "arguments": self.model.arguments}
+        checkpoint["model"] = description(self.model)
         checkpoint["card"] = self.card
 
     def validation_step(self, batch: RolloutBatch, index: int) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-import logging
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,23 +17,34 @@ from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.data.derivatives import Stencil
 from ssmr_torch.fitting.diagnosis import diagnose
 from ssmr_torch.fitting.dimension import choose_dimension
-from ssmr_torch.fitting.fit import LeastSquaresFit, ModelFit
+from ssmr_torch.fitting.fit import LeastSquaresFit, ModelFit, description
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.models.base import ReducedModel
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.trajectory import TrajectoryDataset
 
-log = logging.getLogger(__name__)
-
 
 @dataclass(frozen=True)
 class Training:
-    """A fitted model, its checkpoint, the scores of validation and test (m), and the report of the fit."""
+    """A fitted model, its checkpoint, the scores of validation and test (m), and the report of each fit."""
 
     model: ReducedModel
     checkpoint: Path
     scores: dict[str, float]
-    report: dict
+    report: dict[str, dict]
+
+    def summary(self) -> str:
+        """A few lines for the terminal: scores, what determined the fit, warnings, where the checkpoint is."""
+        lines = [f"{name}: {1e3 * value:.4g} mm" if "rmse" in name else f"{name}: {value:.4g}"
+                 for name, value in sorted(self.scores.items())]
+        for fit, report in self.report.items():
+            lines += [f"{fit}: {name} from {r['rows']} rows, {r['features']} features, condition {r['condition']:.3g}, "
+                      f"ridge {r['ridge']:g}, residual {100 * r['relative_residual']:.3g} %"
+                      for name, r in report["regressions"].items()]
+            lines += [f"{fit}: diverged training rollouts: " + ", ".join(
+                f"{kind} {100 * share:.3g} %" for kind, share in report["diverged"].items())]
+            lines += [f"look here: {warning}" for warning in report["warnings"]]
+        return "\n".join([*lines, f"checkpoint: {self.checkpoint}"])
 
 
 def least_squares(model: SSMR, *, ridge=0.0, folds: int = 5, derivative: Stencil | None = None,
@@ -44,27 +55,29 @@ def least_squares(model: SSMR, *, ridge=0.0, folds: int = 5, derivative: Stencil
 
 def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel], fits: Mapping[str, Callable[..., ModelFit]],
           module: Callable[..., TrajectoryDataModule], trainer: Callable[..., lightning.Trainer],
-          state_dim: int | str, directory: str | Path, loggers: list | bool = False,
-          resume: bool = False) -> Training:
+          directory: str | Path, name: str = "SSMR", loggers: list | bool = False, resume: bool = False) -> Training:
     """Fit one model by each of `fits` in turn, score it, and say what the fit found.
 
-    state_dim: a number, or a rule of `choose_dimension`. Checkpoints go to directory/checkpoints/NAME; the best by
-    validation error is kept of a refinement, the last of a closed form. resume: continue from those already there.
+    name: of the model, for tables and figures. model: constructor that still misses input_dim, output_dim and timestep, which the data give; its state_dim is a
+    number or a rule of `choose_dimension`. Checkpoints go to directory/checkpoints/NAME, of a refinement the best by
+    validation error, of a closed form the last; the fitted model to directory/model.ckpt. resume: continue from the
+    checkpoints already there. Raises ValueError for data or options that cannot be fitted, before any work.
     """
     directory = Path(directory)
     prepared = module(dataset=dataset)
     decays = [run for run in prepared.training if run.kind == "decay"] or list(prepared.training)
-    delays = model.keywords.get("delays", 0) if hasattr(model, "keywords") else 0
-    reduced = model(state_dim=choose_dimension(state_dim, decays, delays, prepared.transient),
-                    input_dim=dataset.input_dim, output_dim=dataset.output_dim, timestep=dataset.timestep)
-    scores, checkpoint, report = {}, None, {}
-    for name, build in fits.items():
+    state_dim = choose_dimension(model.keywords["state_dim"], decays, model.keywords.get("delays", 0),
+                                 prepared.transient)
+    reduced = model(state_dim=state_dim, input_dim=dataset.input_dim, output_dim=dataset.output_dim,
+                    timestep=dataset.timestep)
+    card = data_card(dataset, prepared.training) | {"name": name}
+    scores, report = {}, {}
+    for step, build in fits.items():
         fit = build(reduced)
-        fit.card = data_card(dataset, prepared.training)
-        checkpoint, scores = _run(fit, prepared.prepare(fit), trainer, directory / "checkpoints" / name, loggers, resume)
-        report[name] = diagnose(fit, prepared.training)
-        for warning in report[name]["warnings"]:
-            log.warning(warning)
+        fit.card = card
+        scores = _run(fit, prepared.prepare(fit), trainer, directory / "checkpoints" / step, loggers, resume)
+        report[step] = diagnose(fit, prepared.training)
+    checkpoint = save_model(directory / "model.ckpt", reduced, card | {"scores": scores})
     return Training(reduced, checkpoint, scores, report)
 
 
@@ -77,6 +90,15 @@ def data_card(dataset: TrajectoryDataset, training: tuple) -> dict:
             "input_bounds": [inputs[:, 0].min(0).tolist(), inputs[:, 1].max(0).tolist()],
             "output_range": [outputs[:, 0].min(0).tolist(), outputs[:, 1].max(0).tolist()],
             "data": dataset.provenance}
+
+
+def save_model(path: Path, model: ReducedModel, card: dict) -> Path:
+    """The fitted model alone, as `load_model` reads it; written aside, then renamed."""
+    aside = path.with_name(path.name + ".part")
+    torch.save({"model": description(model), "card": card,
+                "state_dict": {f"model.{name}": value for name, value in model.state_dict().items()}}, aside)
+    os.replace(aside, path)
+    return path
 
 
 def load_model(checkpoint: str | Path) -> tuple[ReducedModel, dict]:
@@ -97,7 +119,7 @@ def load_model(checkpoint: str | Path) -> tuple[ReducedModel, dict]:
 
 
 def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, directory: Path, loggers,
-         resume: bool) -> tuple[Path, dict[str, float]]:
+         resume: bool) -> dict[str, float]:
     validated = bool(module.validation)
     closed_form = isinstance(fit, LeastSquaresFit)
     keep = ModelCheckpoint(dirpath=directory, filename="best", save_last=True, enable_version_counter=False,
@@ -112,7 +134,7 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
     for run, available in ((trainer.validate, validated), (trainer.test, bool(module.test))):
         if available:
             scores |= run(fit, module, verbose=False)[0]
-    return chosen, {name: float(value) for name, value in scores.items()}
+    return {name: float(value) for name, value in scores.items()}
 
 
 def _range(trajectory, which: int) -> np.ndarray:

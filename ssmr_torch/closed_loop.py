@@ -1,0 +1,139 @@
+"""A controller on a plant, and the record of it."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+
+import h5py
+import numpy as np
+from tqdm import tqdm
+
+from ssmr_torch import __version__
+
+ARRAYS = ("time", "reference", "observation", "measurement", "input", "fallback", "solve_time", "iterations")
+FORMAT = "ssmr_torch closed loop 1"
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoopRecord:
+    """One run in closed loop, T samples.
+
+    time (T,) s; reference (T, q) m in the columns `tracked` of the outputs; observation (T, p) m, the plant's own;
+    measurement (T, p) m, the same with noise, as the controller saw it; input (T, m), held from time[k] to time[k+1].
+    fallback (T,) whether the controller fell back; statuses (T,) name of the Status, empty where nothing was decided;
+    solve_time (T,) s spent in the controller, and iterations (T,) programs solved; NaN and 0 where an input was held.
+    """
+
+    time: np.ndarray
+    reference: np.ndarray
+    observation: np.ndarray
+    measurement: np.ndarray
+    input: np.ndarray
+    fallback: np.ndarray
+    solve_time: np.ndarray
+    iterations: np.ndarray
+    statuses: tuple[str, ...]
+    tracked: tuple[int, ...]
+    output_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    input_unit: str = "N"
+    provenance: dict = field(default_factory=dict)
+
+    def __post_init__(self):
+        for name in ("statuses", "tracked", "output_names", "input_names"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        lengths = {name: len(getattr(self, name)) for name in (*ARRAYS, "statuses")}
+        if len(set(lengths.values())) != 1:
+            raise ValueError(f"a record needs equally many samples everywhere; got {lengths}")
+
+    @property
+    def error(self) -> np.ndarray:
+        """Observation minus reference in the tracked columns, (T, q) m."""
+        return self.observation[:, list(self.tracked)] - self.reference
+
+    def save(self, path: str | Path) -> Path:
+        """Write one HDF5 file; it appears only when it is complete."""
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        aside = path.with_name(path.name + ".part")
+        card = {"format": FORMAT, "length_unit": "m", "time_unit": "s", "input_unit": self.input_unit,
+                "tracked": self.tracked, "output_names": self.output_names, "input_names": self.input_names,
+                "provenance": self.provenance}
+        with h5py.File(aside, "w") as file:
+            file.attrs["card"] = json.dumps(card)
+            for name in ARRAYS:
+                file[name] = getattr(self, name)
+            file.create_dataset("statuses", data=list(self.statuses), dtype=h5py.string_dtype())
+        os.replace(aside, path)
+        return path
+
+    @classmethod
+    def load(cls, path: str | Path) -> ClosedLoopRecord:
+        """Read a file written by `save`. Raises FileNotFoundError, or ValueError for another kind of file."""
+        path = Path(path)
+        if not path.is_file():
+            raise FileNotFoundError(f"no closed-loop record at {path}; make one with experiments/control.py")
+        with h5py.File(path, "r") as file:
+            card = json.loads(file.attrs.get("card", "{}"))
+            if card.get("format") != FORMAT:
+                raise ValueError(f"{path} is of format {card.get('format')!r}; expected {FORMAT!r}")
+            arrays = {name: file[name][:] for name in ARRAYS}
+            statuses = tuple(file["statuses"].asstr()[:])
+        return cls(**arrays, statuses=statuses, tracked=card["tracked"], output_names=card["output_names"],
+                   input_names=card["input_names"], input_unit=card["input_unit"], provenance=card["provenance"])
+
+
+def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, progress: bool = False,
+             provenance: dict | None = None) -> ClosedLoopRecord:
+    """Let the controller steer the plant through the task, from the plant's rest, one call per plant sample.
+
+    seed: fixes the plant's randomness and the measurement noise.   noise_std: of every observed value, m.
+    Raises ValueError when the control period is not a multiple of the plant's timestep.
+    """
+    ratio = controller.period / plant.timestep
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
+        raise ValueError(f"the control period {controller.period} s is {ratio:.6g} times the plant's timestep "
+                         f"{plant.timestep} s; expected a whole multiple")
+    if not noise_std >= 0:
+        raise ValueError(f"noise_std is {noise_std} m; expected zero or more")
+    time = plant.timestep * np.arange(int(np.ceil(task.duration / plant.timestep - 1e-9)) + 1)
+    noise = noise_std * np.random.default_rng(seed).standard_normal((len(time), len(plant.output_names)))
+    controller.reset()
+    observation = np.array(plant.reset(seed), dtype=np.float64)
+    observations, commands, durations = [], [], []
+    for k in tqdm(range(len(time)), desc=task.name, disable=not progress):
+        start = perf_counter()
+        command = controller(float(time[k]), observation + noise[k])
+        durations.append(perf_counter() - start)
+        observations.append(observation)
+        commands.append(command)
+        if k + 1 < len(time):
+            observation = np.array(plant.step(command.input), dtype=np.float64)
+    settings = {"task": task.name, "plant": type(plant).__name__, "controller": type(controller).__name__,
+                "period": controller.period, "timestep": plant.timestep, "seed": seed, "noise_std": noise_std,
+                "version": __version__}
+    return _record(plant, task, time, np.stack(observations), noise, commands, durations,
+                   settings | (provenance or {}))
+
+
+def _record(plant, task, time, observation, noise, commands, durations, provenance) -> ClosedLoopRecord:
+    held = np.array([command.held for command in commands])
+    return ClosedLoopRecord(
+        time=time, reference=task.reference(time), observation=observation, measurement=observation + noise,
+        input=np.stack([command.input for command in commands]),
+        fallback=np.array([command.fallback is not None for command in commands]),
+        solve_time=np.where(held, np.nan, durations),
+        iterations=np.array([0 if command.plan is None else command.plan.iterations for command in commands]),
+        statuses=tuple(_status(command) for command in commands), tracked=task.columns(plant.output_names),
+        output_names=plant.output_names, input_names=plant.input_names, input_unit=plant.input_unit,
+        provenance=provenance)
+
+
+def _status(command) -> str:
+    if command.fallback is not None:
+        return command.fallback.name
+    return "" if command.plan is None else command.plan.status.name

@@ -1,0 +1,153 @@
+"""The tracking problem that the controller solves at every step, and its scaling."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+# 100 per mm² and 1e-5 per mN², the authors' weights, in SI units.
+OUTPUT_WEIGHT = 1e8
+INPUT_WEIGHT = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class TrackingProblem:
+    """Paper, Eq. 12 with the sums that the choice of u can influence:
+
+        min  Σ_{k=1..N} ‖y_k − ŷ_k‖²_Q + ‖y_N − ŷ_N‖²_{Q_f} + Σ_{k=0..N−1} ‖u_k‖²_R
+        s.t. lower ≤ u_k ≤ upper,   |u_k − u_{k−1}| ≤ rate · period   with u_{−1} the input applied last.
+
+    reference: time (K,) s → ŷ (K, p) m.   input_bounds: (2, m), lowest and highest input.
+    output_weight, terminal_weight: diagonals of Q and Q_f, (p,) or one number, 1/m².
+    input_weight: diagonal of R, (m,) or one number, 1/N².   input_rate: (m,) or one number, N/s; None leaves it free.
+    Raises ValueError for sizes that disagree, crossed bounds, weights that leave the problem not strictly convex.
+
+    Inside the solver the variable is v = u / input_scale, in units of the input range, and the cost is J / cost_scale.
+    The scaled R is then at least the identity, so that a dual residual ε leaves an error of at most ε in v.
+    """
+
+    reference: Callable[[np.ndarray], np.ndarray]
+    input_bounds: np.ndarray
+    output_weight: np.ndarray
+    input_weight: np.ndarray | float = INPUT_WEIGHT
+    terminal_weight: np.ndarray | float = 0.0
+    input_rate: np.ndarray | float | None = None
+    horizon: int = 5
+    period: float = 0.02
+
+    def __post_init__(self):
+        bounds = np.array(self.input_bounds, dtype=np.float64)
+        if bounds.ndim != 2 or len(bounds) != 2:
+            raise ValueError(f"input_bounds has shape {bounds.shape}; expected (2, m): lowest and highest input")
+        if not (np.isfinite(bounds).all() and (bounds[0] < bounds[1]).all()):
+            raise ValueError(f"input_bounds are {bounds.tolist()}; expected finite numbers, lowest below highest")
+        if int(self.horizon) != self.horizon or self.horizon < 1:
+            raise ValueError(f"horizon is {self.horizon}; expected a positive number of control steps")
+        if not (np.isfinite(self.period) and self.period > 0):
+            raise ValueError(f"period is {self.period} s; expected a positive time")
+        outputs, inputs = np.atleast_1d(self.output_weight).shape[0], bounds.shape[1]
+        self._set("input_bounds", bounds)
+        self._set("output_weight", _diagonal("output_weight", self.output_weight, outputs))
+        self._set("terminal_weight", _diagonal("terminal_weight", self.terminal_weight, outputs))
+        self._set("input_weight", _diagonal("input_weight", self.input_weight, inputs))
+        if not (self.input_weight > 0).all():
+            raise ValueError(f"input_weight is {self.input_weight.tolist()}; expected positive numbers, "
+                             "without them the optimal input is not unique")
+        if self.input_rate is not None:
+            self._set("input_rate", _diagonal("input_rate", self.input_rate, inputs))
+            if not (self.input_rate > 0).all():
+                raise ValueError(f"input_rate is {self.input_rate.tolist()} per s; expected positive numbers, "
+                                 "or None for no limit")
+
+    def _set(self, name: str, array: np.ndarray) -> None:
+        array.setflags(write=False)
+        object.__setattr__(self, name, array)
+
+    @property
+    def input_dim(self) -> int:
+        return self.input_bounds.shape[1]
+
+    @property
+    def output_dim(self) -> int:
+        return len(self.output_weight)
+
+    @cached_property
+    def stage_weight(self) -> np.ndarray:
+        """(N, p) weights of y_1 … y_N, the last with the terminal weight added."""
+        weight = np.tile(self.output_weight, (self.horizon, 1))
+        weight[-1] += self.terminal_weight
+        return weight
+
+    @cached_property
+    def input_scale(self) -> np.ndarray:
+        """(m,) range of each input: v = u / input_scale."""
+        return self.input_bounds[1] - self.input_bounds[0]
+
+    @cached_property
+    def cost_scale(self) -> float:
+        """Smallest weight of v: the solver sees J / cost_scale."""
+        return float((self.input_weight * self.input_scale**2).min())
+
+    @cached_property
+    def input_step(self) -> np.ndarray | None:
+        """(m,) largest change of the input from one control step to the next."""
+        return None if self.input_rate is None else self.input_rate * self.period
+
+    @cached_property
+    def rate_rows(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """(C, limit) with |C v| ≤ limit for the changes within the horizon; None where there are none."""
+        if self.input_step is None or self.horizon == 1:
+            return None
+        size = (self.horizon - 1) * self.input_dim
+        C = np.eye(size, size + self.input_dim, self.input_dim) - np.eye(size, size + self.input_dim)
+        return C, np.tile(self.input_step / self.input_scale, self.horizon - 1)
+
+    @cached_property
+    def _scaled_box(self) -> np.ndarray:
+        return np.tile(self.input_bounds / self.input_scale, self.horizon)
+
+    def scaled_bounds(self, last_input: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of v, each (N m,); the change from `last_input` (m,) to u_0 is limited through those of v_0."""
+        lower, upper = self._scaled_box
+        if self.input_step is not None and last_input is not None:
+            m = self.input_dim
+            lower, upper = lower.copy(), upper.copy()
+            lower[:m] = np.maximum(lower[:m], (last_input - self.input_step) / self.input_scale)
+            upper[:m] = np.minimum(upper[:m], (last_input + self.input_step) / self.input_scale)
+        return lower, upper
+
+    def admissible(self, inputs: np.ndarray, last_input: np.ndarray | None = None) -> np.ndarray:
+        """The sequence (K, m) moved into the bounds and, one after the other, within reach of the one before."""
+        inputs = np.minimum(np.maximum(inputs, self.input_bounds[0]), self.input_bounds[1])
+        if self.input_step is not None:
+            for k in range(len(inputs)):
+                before = inputs[k - 1] if k else last_input
+                if before is not None:
+                    inputs[k] = np.clip(inputs[k], before - self.input_step, before + self.input_step)
+        return inputs
+
+    def reference_ahead(self, time: float) -> np.ndarray:
+        """ŷ_1 … ŷ_N, (N, p), seen from `time` in s."""
+        reference = np.asarray(self.reference(time + self.period * np.arange(1, self.horizon + 1)), dtype=np.float64)
+        if reference.shape != self.stage_weight.shape:
+            raise ValueError(f"the reference has shape {reference.shape}; expected {self.stage_weight.shape}, "
+                             "one row per time and one column per output")
+        return reference
+
+    def cost(self, outputs: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> float:
+        """J of y_1 … y_N (N, p) and u_0 … u_{N−1} (N, m); not a finite number when the outputs are not."""
+        error = outputs - reference
+        return float(np.vdot(error * self.stage_weight, error) + np.vdot(inputs * self.input_weight, inputs))
+
+
+def _diagonal(name: str, value, size: int) -> np.ndarray:
+    array = np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), size)) if np.ndim(value) == 0 \
+        else np.array(value, dtype=np.float64)
+    if array.shape != (size,):
+        raise ValueError(f"{name} has shape {array.shape}; expected one number or ({size},)")
+    if not (np.isfinite(array).all() and (array >= 0).all()):
+        raise ValueError(f"{name} is {array.tolist()}; expected finite numbers, none negative")
+    return array

@@ -1,0 +1,185 @@
+"""From raw recordings to the trajectories of a dataset: refuse, cut at seams, put on a grid, centre."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ssmr_torch.data.sampling import SamplingRule, is_uniform, refuse_irregular, to_grid
+from ssmr_torch.data.seams import count_blips, count_frozen, find_seams, find_time_gaps
+from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
+
+logger = logging.getLogger(__name__)
+
+FINDINGS = ("seams", "blips", "frozen_samples")
+DISPLACEMENT_RANGE = (1e-4, 2.0)
+UNITS_OF_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Samples of one file or part of it in SI units, not yet trusted.
+
+    time: (T,) s. observation: (T, p) m, absolute unless `centred`. input: (T, m), held from sample to sample.
+    seams: rows at which another run begins, or "auto" to look for them.
+    Raises ValueError when the three arrays disagree in length.
+    """
+
+    name: str
+    time: np.ndarray
+    observation: np.ndarray
+    input: np.ndarray
+    kind: str = "controlled"
+    split: str = "train"
+    centred: bool = False
+    seams: tuple[int, ...] | str = "auto"
+
+    def __post_init__(self):
+        lengths = tuple(len(a) for a in (self.time, self.observation, self.input))
+        if len(set(lengths)) > 1:
+            raise ValueError(f"{self.name}: {lengths[0]} times, {lengths[1]} observations and {lengths[2]} "
+                             "inputs; expected equally many")
+        if lengths[0] < 2:
+            raise ValueError(f"{self.name}: {lengths[0]} samples; at least 2 are needed")
+        if isinstance(self.seams, str) and self.seams != "auto":
+            raise ValueError(f"{self.name}: seams is {self.seams!r}; expected rows or 'auto'")
+        outside = [k for k in self.seams if not 0 < k < lengths[0]] if self.seams != "auto" else []
+        if outside:
+            raise ValueError(f"{self.name}: seams {outside} lie outside the {lengths[0]} rows")
+
+
+def assemble(recordings: list[Recording], rest: np.ndarray, output_names, input_names, input_unit: str,
+             rule: SamplingRule, provenance: dict,
+             displacement_range: tuple[float, float] = DISPLACEMENT_RANGE,
+             unit: str = "m") -> TrajectoryDataset:
+    """The dataset of all recordings, observations measured from `rest` (p,) in m.
+
+    Adds to the provenance: intervals found, seams, blips, frozen and dropped samples. `unit` is the unit of
+    length of the source, for the message when the displacement is not within `displacement_range` (m).
+    Raises ValueError for rows that are not finite (unless the rule splits there), time that does not
+    increase, implausible displacements, and sampling that the rule refuses.
+    """
+    usable = [(recording, _refuse_bad_rows(recording, rule)) for recording in recordings]
+    _refuse_implausible(usable, rest, displacement_range, unit)
+    timestep = rule.timestep or _common_timestep([r.time[good] for r, good in usable])
+    for recording, good in usable:
+        refuse_irregular(recording.time[good], rule, timestep, recording.name)
+    findings = {recording.name: _findings(recording, good) for recording, good in usable}
+    trajectories, dropped, resampled = [], [], 0
+    for recording, good in usable:
+        parts = _runs(recording, good, findings[recording.name]["seams"])
+        for index, rows in enumerate(parts):
+            name = recording.name if len(parts) == 1 else f"{recording.name}/{index}"
+            if len(rows) < rule.minimum_length:
+                dropped.append(f"{name} ({len(rows)} samples)")
+                continue
+            observation = recording.observation[rows] - (0.0 if recording.centred else rest)
+            samples = to_grid(recording.time[rows], observation, recording.input[rows], rule, timestep, name)
+            resampled += not is_uniform(recording.time[rows], timestep)
+            trajectories.append(Trajectory(*samples, recording.kind, recording.split, name))
+    if not trajectories:
+        raise ValueError(f"no run is left: all {len(dropped)} are shorter than {rule.minimum_length} samples")
+    steps = np.concatenate([np.diff(r.time[good]) for r, good in usable])
+    sampling = {"rule": rule.sampling, "timestep_s": float(timestep), "shortest_s": float(steps.min()),
+                "median_s": float(np.median(steps)), "longest_s": float(steps.max()),
+                "resampled_runs": resampled}
+    provenance = provenance | {
+        "rest_m": [float(x) for x in rest], "sampling": sampling,
+        **{key: {name: found[key] for name, found in findings.items() if found[key]} for key in FINDINGS},
+        "shorter_than_minimum": dropped, "minimum_length": rule.minimum_length}
+    _log(provenance)
+    return TrajectoryDataset(trajectories, rest, output_names, input_names, input_unit, provenance)
+
+
+def fingerprint(*paths: str | Path) -> dict[str, str]:
+    """SHA-256 of each file by its name."""
+    return {Path(path).name: hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in paths}
+
+
+def rest_at_end(time: np.ndarray, observation: np.ndarray, inputs: np.ndarray, name: str,
+                duration: float = 1.0) -> np.ndarray:
+    """Median position over the last `duration` s, (p,).
+
+    Raises ValueError unless the input is constant there, since the robot is then not known to rest.
+    """
+    rows = time >= time[-1] - duration
+    if np.ptp(inputs[rows], axis=0).max(initial=0.0) > 0:
+        raise ValueError(f"{name}: the input changes by {np.ptp(inputs[rows], axis=0).max():.3g} during the "
+                         f"last {duration:g} s, so the robot does not end at rest; give rest as a vector")
+    return np.median(observation[rows], axis=0)
+
+
+def _refuse_bad_rows(recording: Recording, rule: SamplingRule) -> np.ndarray:
+    table = np.column_stack([recording.time, recording.observation, recording.input])
+    good = np.isfinite(table).all(axis=1)
+    bad = np.flatnonzero(~good)
+    if len(bad) and rule.missing == "refuse":
+        raise ValueError(f"{recording.name}: {len(bad)} of {len(good)} rows are not finite, the first are "
+                         f"rows {bad[:5].tolist()} (from 0); repair them, or set missing=split to cut the "
+                         "run there")
+    if good.sum() < 2:
+        raise ValueError(f"{recording.name}: {good.sum()} rows are finite; at least 2 are needed")
+    rows = np.flatnonzero(good)
+    steps = np.diff(recording.time[rows])
+    if (steps <= 0).any():
+        row = int(rows[np.argmax(steps <= 0) + 1])
+        word = "repeats" if (steps[steps <= 0] == 0).all() else "goes back"
+        raise ValueError(f"{recording.name}: time {word} at row {row} (from 0) with "
+                         f"{recording.time[row]:.6g} s, and in {int((steps <= 0).sum())} rows in all; "
+                         "expected strictly increasing time")
+    return good
+
+
+def _refuse_implausible(usable, rest: np.ndarray, displacement_range, unit: str) -> None:
+    lowest, highest = displacement_range
+    peak = max(float(np.abs(r.observation[good] - (0.0 if r.centred else rest)).max()) for r, good in usable)
+    if lowest <= peak <= highest:
+        return
+    measured = peak / UNITS_OF_LENGTH[unit]
+    likely = [name for name, scale in UNITS_OF_LENGTH.items() if lowest <= measured * scale <= highest]
+    remedy = f"the columns look like {' or '.join(likely)}" if likely else "check the unit and the rest"
+    raise ValueError(f"the largest displacement from rest is {peak:.3g} m when the columns are read in "
+                     f"{unit}; expected between {lowest:g} and {highest:g} m: {remedy}")
+
+
+def _common_timestep(times: list[np.ndarray]) -> float:
+    return float(f"{np.median([np.median(np.diff(time)) for time in times]):.4g}")
+
+
+def _findings(recording: Recording, good: np.ndarray) -> dict:
+    observation = recording.observation[good]
+    rows = np.flatnonzero(good)
+    if recording.seams == "auto":
+        seams = [int(rows[k]) for k in find_seams(observation)]
+    else:
+        seams = [int(k) for k in recording.seams]
+    seams += [int(rows[k]) for k in find_time_gaps(recording.time[good])]
+    return {"seams": sorted(set(seams)), "blips": count_blips(observation),
+            "frozen_samples": count_frozen(observation)}
+
+
+def _runs(recording: Recording, good: np.ndarray, seams: list[int]) -> list[np.ndarray]:
+    rows = np.flatnonzero(good)
+    holes = rows[1:][np.diff(rows) > 1]
+    cuts = np.searchsorted(rows, sorted({*seams, *holes.tolist()}))
+    return [part for part in np.split(rows, cuts) if len(part)]
+
+
+def _log(provenance: dict) -> None:
+    logger.info("read %s: %s", ", ".join(provenance["sources"]), " ".join(provenance["assumptions"]))
+    sampling = provenance["sampling"]
+    logger.info("sampling intervals %.4g to %.4g s, median %.4g s; %d runs put on a grid of %.4g s",
+                sampling["shortest_s"], sampling["longest_s"], sampling["median_s"],
+                sampling["resampled_runs"], sampling["timestep_s"])
+    if provenance["seams"]:
+        logger.warning("cut at seams before rows %s", provenance["seams"])
+    if provenance["shorter_than_minimum"]:
+        logger.warning("left out as too short: %s", ", ".join(provenance["shorter_than_minimum"]))
+    for label in ("blips", "frozen_samples"):
+        if provenance[label]:
+            logger.warning("%d %s in %d runs are kept; see the provenance", sum(provenance[label].values()),
+                           label.replace("_", " "), len(provenance[label]))

@@ -1,0 +1,152 @@
+"""Errors, constraint violations and solve times of predictions and closed loops. Arrays in, numbers out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+SETTLING_TIME = 1.0
+TIME_TOLERANCE = 1e-9
+
+
+class SolveTimes(NamedTuple):
+    """median, p99, maximum: s; late: share of the solves that took longer than the control period."""
+
+    median: float
+    p99: float
+    maximum: float
+    late: float
+
+
+class Violations(NamedTuple):
+    """ratio: share of the samples inside an obstacle; maximum: largest penetration depth, m (0 without any).
+    """
+
+    ratio: float
+    maximum: float
+
+
+def rollout_rmse(predicted: np.ndarray, measured: np.ndarray, steps: np.ndarray | None = None) -> np.ndarray:
+    """Root mean square of the error's norm over one rollout, √(1/H Σ_{k=1..H} ‖ŷ_k − y_k‖²).
+
+    predicted, measured: (..., H, p), the predicted samples k = 1, …, H only: the initial sample is known and
+    would flatter the model. steps: (...,) samples that count in each rollout, default H; those after are
+    padding. Returns (...,) in the unit of y; a prediction that is not finite gives an infinite or NaN error.
+    Raises ValueError when the shapes differ, there is no sample, or `steps` is outside 1 … H.
+    """
+    predicted, measured = _same_shape(predicted, measured, lowest_rank=2)
+    horizon = predicted.shape[-2]
+    with np.errstate(over="ignore", invalid="ignore"):
+        squares = ((predicted - measured) ** 2).sum(axis=-1)
+        if steps is None:
+            return np.sqrt(squares.mean(axis=-1))
+        steps = np.asarray(steps)
+        if steps.shape != squares.shape[:-1] or (steps < 1).any() or (steps > horizon).any():
+            raise ValueError(f"steps has shape {steps.shape} and values {steps.min()} to {steps.max()}; "
+                             f"expected shape {squares.shape[:-1]} and values 1 to {horizon}")
+        counted = np.arange(1, horizon + 1) <= steps[..., None]
+        return np.sqrt(np.where(counted, squares, 0.0).sum(axis=-1) / steps)
+
+
+def tracking_error(time: np.ndarray, position: np.ndarray, reference: np.ndarray, *,
+                   axes: Sequence[int] | None = None, settling_time: float = SETTLING_TIME) -> np.ndarray:
+    """‖e_k‖ = ‖y_k − r_k‖ over the task's axes, for the samples with t_k − t_0 ≥ settling_time.
+
+    time: (T,) s; position, reference: (T, p) m; axes: columns that the task prescribes, default all. Returns
+    (K,) m. Raises ValueError when the arrays disagree, hold non-finite numbers, or end before settling_time.
+    """
+    position, reference = _same_shape(position, reference, lowest_rank=2)
+    time = np.asarray(time, dtype=np.float64)
+    if time.shape != position.shape[:1]:
+        raise ValueError(f"time has shape {time.shape}; expected {position.shape[:1]}, one per sample")
+    columns = slice(None) if axes is None else list(axes)
+    error = np.linalg.norm(position[:, columns] - reference[:, columns], axis=-1)
+    if not np.isfinite(error).all():
+        raise ValueError(f"{np.sum(~np.isfinite(error))} of {len(error)} errors are not finite, the first "
+                         f"is sample {np.argmin(np.isfinite(error))}; a broken-off run has no tracking error")
+    counted = time - time[0] >= settling_time - TIME_TOLERANCE
+    if not counted.any():
+        raise ValueError(f"the run lasts {time[-1] - time[0]:.4g} s, less than the settling time of "
+                         f"{settling_time:.4g} s; make the task longer or settling_time shorter")
+    return error[counted]
+
+
+def integral_squared_error(time: np.ndarray, position: np.ndarray, reference: np.ndarray,
+                           **selection) -> float:
+    """ISE = Σ ‖e_k‖² over the samples with t ≥ 1 s, m²; a sum, not multiplied by the sampling time.
+
+    Arguments and errors are those of `tracking_error`. Compare runs of equal sampling time and length only.
+    """
+    return float((tracking_error(time, position, reference, **selection) ** 2).sum())
+
+
+def tracking_rmse(time: np.ndarray, position: np.ndarray, reference: np.ndarray, **selection) -> float:
+    """√(mean_k ‖e_k‖²) over the samples with t ≥ 1 s, m. Arguments and errors are those of `tracking_error`.
+    """
+    return float(np.sqrt((tracking_error(time, position, reference, **selection) ** 2).mean()))
+
+
+def max_tracking_error(time: np.ndarray, position: np.ndarray, reference: np.ndarray, **selection) -> float:
+    """max_k ‖e_k‖ over the samples with t ≥ 1 s, m. Arguments and errors are those of `tracking_error`."""
+    return float(tracking_error(time, position, reference, **selection).max())
+
+
+def relative_ise(ise: float, reference_ises: Sequence[float]) -> float:
+    """(ISE / mean reference ISE − 1) · 100, in %: by how much an ISE exceeds the mean of the reference
+    method's.
+
+    Raises ValueError without reference runs, or when an ISE is negative or the reference's are all zero.
+    """
+    reference_ises = np.asarray(reference_ises, dtype=np.float64)
+    if not (ise >= 0 and reference_ises.size and (reference_ises >= 0).all() and reference_ises.mean() > 0):
+        raise ValueError(f"ISE {ise} against reference ISEs {reference_ises.tolist()}; expected values of 0 "
+                         "or more and a reference with a positive mean")
+    return float((ise / reference_ises.mean() - 1.0) * 100.0)
+
+
+def violations(depth: np.ndarray) -> Violations:
+    """Share of the samples with penetration depth > 0, and the largest depth.
+
+    depth: (T,) or (T, obstacles) m, positive inside an obstacle; a sample counts once however many it is in.
+    Raises ValueError when depth is empty in time or not finite.
+    """
+    depth = np.asarray(depth, dtype=np.float64)
+    if depth.ndim not in (1, 2) or len(depth) == 0 or not np.isfinite(depth).all():
+        raise ValueError(f"penetration depths of shape {depth.shape}; expected (T,) or (T, obstacles), "
+                         "T ≥ 1, all finite")
+    deepest = depth.reshape(len(depth), -1).max(axis=1, initial=0.0)
+    return Violations(float((deepest > 0).mean()), float(deepest.max()))
+
+
+def solve_times(seconds: np.ndarray, period: float) -> SolveTimes:
+    """Median, 99th percentile and maximum of the solve times, and the share longer than the control period.
+
+    seconds: (K,) s; period: s. Raises ValueError when there is none, or one is negative or not finite.
+    """
+    seconds = np.asarray(seconds, dtype=np.float64)
+    valid = seconds.ndim == 1 and len(seconds) > 0 and (np.isfinite(seconds) & (seconds >= 0)).all()
+    if not (valid and period > 0):
+        raise ValueError(f"solve times of shape {seconds.shape} against a period of {period} s; expected "
+                         "(K,), K ≥ 1, finite and not negative, and a positive period")
+    return SolveTimes(float(np.median(seconds)), float(np.percentile(seconds, 99)), float(seconds.max()),
+                      float((seconds > period).mean()))
+
+
+def closed_loop_metrics(record) -> dict[str, float]:
+    """ISE (m²), RMSE and largest error (m), solve times (s), and fallbacks of a `ClosedLoopRecord`."""
+    position = record.observation[:, list(record.tracked)]
+    arguments = (record.time, position, record.reference)
+    times = solve_times(record.solve_time[np.isfinite(record.solve_time)], record.provenance["period"])
+    return {"ise": integral_squared_error(*arguments), "rmse": tracking_rmse(*arguments),
+            "max_error": max_tracking_error(*arguments), "solve_time_median": times.median,
+            "solve_time_p99": times.p99, "fallbacks": float(record.fallback.sum())}
+
+
+def _same_shape(first: np.ndarray, second: np.ndarray, lowest_rank: int) -> tuple[np.ndarray, np.ndarray]:
+    first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    if first.shape != second.shape or first.ndim < lowest_rank or first.size == 0:
+        raise ValueError(f"the two have shapes {first.shape} and {second.shape}; "
+                         "expected the same (..., samples, outputs), with at least one sample")
+    return first, second

@@ -1,0 +1,127 @@
+"""Rollouts from measured samples: where they may start, and what is predicted and was measured from there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from ssmr_torch.evaluation.predictors import Predictor, as_predictor
+
+TIMESTEP_TOLERANCE = 1e-3
+
+
+class Recording(NamedTuple):
+    """Trajectories end to end: observation (Σ T, p) m, input (Σ T, m); offsets, lengths (R,) of each.
+
+    timestep: sampling time, s.
+    """
+
+    observation: np.ndarray
+    input: np.ndarray
+    offsets: np.ndarray
+    lengths: np.ndarray
+    timestep: float
+
+    @classmethod
+    def of(cls, trajectories: Iterable) -> Recording:
+        """Read all trajectories. Raises ValueError when there is none or their sampling times differ."""
+        runs = [trajectory.read() for trajectory in trajectories]
+        if not runs:
+            raise ValueError("no trajectory to score on; select a split or kind that the dataset has")
+        timesteps = np.array([run.timestep for run in runs])
+        if np.ptp(timesteps) > TIMESTEP_TOLERANCE * timesteps.min():
+            raise ValueError(f"the trajectories are sampled at {timesteps.min():.6g} to "
+                             f"{timesteps.max():.6g} s; score equal ones together, or resample them")
+        lengths = np.array([run.length for run in runs])
+        return cls(np.concatenate([run.observation for run in runs]),
+                   np.concatenate([run.input for run in runs]),
+                   np.cumsum(lengths) - lengths, lengths, float(np.median(timesteps)))
+
+
+class Forecaster:
+    """A predictor on a recording: (trajectory, sample) of N starts → predicted and measured outputs.
+
+    stride, window_stride: samples per step of the model and per delay of its window. reach: samples that its
+    window needs before a start. Raises ValueError when columns differ or a timestep is no whole multiple.
+    """
+
+    def __init__(self, predictor: Predictor, recording: Recording):
+        for label, given, own in (("outputs", recording.observation.shape[1], predictor.output_dim),
+                                  ("inputs", recording.input.shape[1], predictor.input_dim)):
+            if own is not None and own != given:
+                raise ValueError(f"the trajectories have {given} {label}, the model {own}; "
+                                 "give it the columns that it was fitted to")
+        self.predictor, self.recording = predictor, recording
+        self.stride = _stride("timestep", predictor.timestep, recording.timestep)
+        self.window_stride = _stride("window_timestep", predictor.window_timestep, recording.timestep)
+        self.reach = predictor.delays * self.window_stride
+
+    def __call__(self, owner: np.ndarray, sample: np.ndarray,
+                 steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Predicted and measured (N, H, p), H = max(steps); rows are padded past their own steps.
+
+        owner, sample, steps: (N,). The k-th output is `stride` k samples after the start, and the input of a
+        step is that of its first sample. Padding never reads another trajectory: it repeats the last sample.
+        """
+        recording = self.recording
+        newest = recording.offsets[owner] + sample
+        last = recording.offsets[owner] + recording.lengths[owner] - 1
+        window = newest[:, None] - self.window_stride * np.arange(self.predictor.delays, -1, -1)
+        future = np.minimum(newest[:, None] + self.stride * np.arange(steps.max() + 1), last[:, None])
+        predicted = self.predictor.predict(recording.observation[window], recording.input[window[:, :-1]],
+                                           recording.input[future[:, :-1]])
+        return predicted, recording.observation[future[:, 1:]]
+
+
+def draw_starts(lengths: np.ndarray, margin: int, span: int, count: int,
+                seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """`count` different starts, uniform over all samples with `margin` before and `span` after in their
+    trajectory.
+
+    lengths: (R,) samples per trajectory. Returns trajectory and sample (N,) of each start, in order; all
+    admissible ones where there are fewer than `count`. Raises ValueError when there is none.
+    """
+    if count < 1 or margin < 0 or span < 1:
+        raise ValueError(f"{count} starts with {margin} samples before and {span} after; "
+                         "expected at least 1, 0 and 1")
+    lengths = np.asarray(lengths)
+    admissible = np.maximum(lengths - margin - span, 0)
+    total = int(admissible.sum())
+    if total == 0:
+        raise ValueError(f"the longest of {len(lengths)} trajectories has {lengths.max()} samples; a start "
+                         f"needs {margin} before and {span} after it, {margin + span + 1} in all; "
+                         "take shorter horizons")
+    drawn = np.sort(np.random.default_rng(seed).choice(total, size=min(count, total), replace=False))
+    ends = np.cumsum(admissible)
+    owner = np.searchsorted(ends, drawn, side="right")
+    return owner, drawn - (ends - admissible)[owner] + margin
+
+
+def predict_trajectory(model, trajectory, *, margin: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """One rollout from sample `margin` (default: the first complete window) to the end of the trajectory.
+
+    model: as in `score_open_loop`. Returns time (H,) s and outputs (H, p) m, without the initial sample;
+    infinite from where the model calls the rollout diverged. Raises ValueError when the model does not fit or
+    the run is too short.
+    """
+    run = trajectory.read()
+    forecaster = Forecaster(as_predictor(model), Recording.of([run]))
+    start = forecaster.reach if margin is None else margin
+    steps = (run.length - 1 - start) // forecaster.stride
+    if start < forecaster.reach or steps < 1:
+        raise ValueError(f"a rollout from sample {start} of {run.length}: the model needs {forecaster.reach} "
+                         f"samples before its start and {forecaster.stride} after")
+    predicted, _ = forecaster(np.array([0]), np.array([start]), np.array([steps]))
+    return run.time[start + forecaster.stride * np.arange(1, steps + 1)], predicted[0]
+
+
+def _stride(name: str, seconds: float, sampling: float) -> int:
+    ratio = seconds / sampling
+    stride = round(ratio)
+    if stride < 1 or abs(ratio / stride - 1.0) > TIMESTEP_TOLERANCE:
+        raise ValueError(f"the model's {name} is {seconds:.6g} s, {ratio:.4g} times the trajectories' "
+                         f"sampling time of {sampling:.6g} s; it must be a whole multiple: "
+                         "use at_timestep, or resample the data")
+    return stride

@@ -1,0 +1,85 @@
+"""What every controller promises. A new controller adds one entry to CONTROLLERS."""
+
+import numpy as np
+import pytest
+
+from ssmr_torch.closed_loop import simulate
+from ssmr_torch.control.base import Command, Controller
+from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.tasks.references import figure_eight
+
+TASK = figure_eight(laps=1.0)
+CONTROLLERS = {
+    "predictive": lambda bench: ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS),
+    "predictive, rate limited": lambda bench: ModelPredictiveController(
+        bench.oscillators(), TASK, bench.BOUNDS, input_rate=5.0, horizon=3),
+    "predictive, converged": lambda bench: ModelPredictiveController(
+        bench.oscillators(), TASK, bench.BOUNDS, iterations=10, period=0.03),
+}
+
+
+@pytest.fixture(params=CONTROLLERS)
+def controller(request, bench):
+    return CONTROLLERS[request.param](bench)
+
+
+def measurements(count=60):
+    rng = np.random.default_rng(0)
+    return 0.01 * np.sin(0.1 * np.arange(count)[:, None] + np.arange(6)) + 1e-4 * rng.standard_normal((count, 6))
+
+
+def inputs_of(controller, observations):
+    return np.stack([controller(0.01 * k, observation).input for k, observation in enumerate(observations)])
+
+
+def test_it_is_a_controller(controller):
+    assert isinstance(controller, Controller)
+    assert isinstance(controller(0.0, np.zeros(6)), Command)
+
+
+def test_the_same_measurements_give_the_same_inputs_after_a_reset(controller):
+    first = inputs_of(controller, measurements())
+    controller.reset()
+    np.testing.assert_allclose(inputs_of(controller, measurements()), first, rtol=0, atol=1e-9)
+
+
+def test_two_controllers_with_the_same_settings_agree(bench, request, controller):
+    other = CONTROLLERS[request.node.callspec.params["controller"]](bench)
+    np.testing.assert_allclose(inputs_of(controller, measurements()), inputs_of(other, measurements()),
+                               rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("spoilt", [np.nan, np.inf, -np.inf, 1e30, 1e300, 10.0])
+def test_inputs_are_finite_and_inside_the_bounds_whatever_is_measured(controller, bench, spoilt):
+    observations = measurements()
+    observations[20:30, 1] = spoilt
+    observations[40:] = spoilt
+    inputs = inputs_of(controller, observations)
+    assert inputs.shape == (60, 4) and np.isfinite(inputs).all()
+    assert (bench.BOUNDS[0] <= inputs).all() and (inputs <= bench.BOUNDS[1]).all()
+
+
+def test_arrays_of_the_caller_are_left_alone_and_those_returned_are_the_callers(controller):
+    clean = inputs_of(controller, measurements())
+    controller.reset()
+    spoilt = []
+    for k, observation in enumerate(measurements()):
+        given = observation.copy()
+        command = controller(0.01 * k, given)
+        np.testing.assert_array_equal(given, observation)
+        spoilt.append(command.input.copy())
+        given[:] = np.nan
+        command.input[:] = np.nan
+    np.testing.assert_allclose(spoilt, clean, rtol=0, atol=1e-9)
+
+
+def test_read_only_and_single_precision_measurements_are_accepted(controller):
+    observation = np.zeros(6, dtype=np.float32)
+    observation.setflags(write=False)
+    assert np.isfinite(controller(0.0, observation).input).all()
+
+
+def test_it_brings_the_plant_along_the_task(controller, bench):
+    record = simulate(bench.TablesPlant(bench.oscillators()), controller, TASK)
+    assert np.abs(record.error).max() < 0.25 * np.abs(record.reference).max()
+    assert not record.fallback.any()

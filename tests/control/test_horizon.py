@@ -1,0 +1,117 @@
+"""Claims about the problem over the horizon."""
+
+import numpy as np
+import pytest
+
+from ssmr_torch.control.horizon import LinearizedHorizon, PolynomialHorizon, horizon_for
+from ssmr_torch.control.problem import TrackingProblem
+
+
+def problem_of(bench, horizon=6, **changes):
+    settings = {"reference": lambda time: 0.01 * np.sin(3 * time[:, None] + np.arange(6)),
+                "input_bounds": bench.BOUNDS, "output_weight": 1e8 * np.array([1, 2, 0, 0, 0.1, 0]),
+                "terminal_weight": 3e7, "input_weight": np.array([10.0, 5, 20, 10]), "horizon": horizon}
+    return TrackingProblem(**settings | changes)
+
+
+def point_of(seed, horizon=6):
+    rng = np.random.default_rng(seed)
+    return 0.01 * rng.standard_normal(6), rng.uniform(0, 0.6, (horizon, 4))
+
+
+@pytest.mark.parametrize("degrees", [(1, 0), (2, 1), (3, 1), (3, 2), (1, 2)])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_compiled_kernel_equals_its_numpy_twin(bench, degrees, seed):
+    model, problem = bench.oscillators(seed, *degrees), problem_of(bench)
+    state, inputs = point_of(seed)
+    reference = problem.reference_ahead(0.3)
+    kernel, twin = horizon_for(model, problem), LinearizedHorizon(model.at_timestep(problem.period), problem)
+    assert isinstance(kernel, PolynomialHorizon)
+    for ours, theirs in zip((*kernel.rollout(state, inputs), *kernel.condense(state, inputs, reference)),
+                            (*twin.rollout(state, inputs), *twin.condense(state, inputs, reference))):
+        assert np.abs(ours - theirs).max() <= 1e-12 * np.abs(theirs).max()
+
+
+def test_the_kernel_equals_its_twin_for_a_curved_output_with_substeps(bench):
+    from dataclasses import replace
+    rng = np.random.default_rng(0)
+    model = bench.oscillators(0, 2, 1)
+    curved = np.hstack([np.eye(6), 3.0 * rng.standard_normal((6, 77))])
+    model = replace(model, parametrization=curved, parametrization_degree=3, substeps=3)
+    problem = problem_of(bench)
+    state, inputs = point_of(1)
+    reference = problem.reference_ahead(0.0)
+    kernel, twin = horizon_for(model, problem), LinearizedHorizon(model.at_timestep(problem.period), problem)
+    for ours, theirs in zip(kernel.condense(state, inputs, reference), twin.condense(state, inputs, reference)):
+        assert np.abs(ours - theirs).max() <= 1e-12 * np.abs(theirs).max()
+
+
+def test_the_gradient_is_that_of_the_cost_of_the_rollout(bench):
+    model, problem = bench.oscillators(2), problem_of(bench)
+    horizon, reference = horizon_for(model, problem), problem.reference_ahead(0.1)
+    state, inputs = point_of(2)
+
+    def cost(v):
+        u = v.reshape(inputs.shape) * problem.input_scale
+        return problem.cost(horizon.rollout(state, u)[1], u, reference) / problem.cost_scale
+
+    v = (inputs / problem.input_scale).ravel()
+    condensed = horizon.condense(state, inputs, reference)
+    step = 1e-5 * np.eye(len(v))
+    differences = np.array([cost(v - 2 * e) - 8 * cost(v - e) + 8 * cost(v + e) - cost(v + 2 * e) for e in step])
+    np.testing.assert_allclose(condensed.gradient, differences / 12e-5, rtol=1e-6,
+                               atol=1e-8 * np.abs(condensed.gradient).max())
+
+
+def test_the_hessian_is_that_of_the_cost_when_the_model_is_linear(bench):
+    model, problem = bench.oscillators(3, 1, 0), problem_of(bench)
+    horizon, reference = horizon_for(model, problem), problem.reference_ahead(0.1)
+    state, inputs = point_of(3)
+    other = np.random.default_rng(9).uniform(0, 0.6, inputs.shape)
+    here, there = (horizon.condense(state, u, reference) for u in (inputs, other))
+    np.testing.assert_allclose(here.hessian, there.hessian, rtol=1e-10)
+    change = ((other - inputs) / problem.input_scale).ravel()
+    np.testing.assert_allclose(there.gradient - here.gradient, here.hessian @ change, rtol=1e-8,
+                               atol=1e-9 * np.abs(here.gradient).max())
+
+
+@pytest.mark.parametrize("horizon", [1, 5, 20])
+def test_the_hessian_is_symmetric_and_at_least_twice_the_identity(bench, horizon):
+    model, problem = bench.oscillators(4), problem_of(bench, horizon)
+    state, inputs = point_of(4, horizon)
+    hessian = horizon_for(model, problem).condense(state, inputs, problem.reference_ahead(0.0)).hessian
+    np.testing.assert_array_equal(hessian, hessian.T)
+    assert np.linalg.eigvalsh(hessian)[0] >= 2.0 * (1 - 1e-9)
+
+
+def test_a_diverging_rollout_is_not_hidden(bench):
+    problem = problem_of(bench, 20)
+    with np.errstate(all="ignore"):
+        states, _ = horizon_for(bench.oscillators(0), problem).rollout(np.full(6, 1e3), np.zeros((20, 4)))
+    assert not np.isfinite(states).all()
+
+
+def test_a_model_of_other_sizes_is_refused(bench):
+    problem = problem_of(bench, output_weight=np.ones(3), terminal_weight=0.0)
+    with pytest.raises(ValueError, match="6 outputs"):
+        horizon_for(bench.oscillators(), problem)
+
+
+@pytest.mark.parametrize("changes, message", [
+    ({"input_bounds": [[0.0] * 4, [0.5, 0.5, 0.5, 0.0]]}, "lowest below highest"),
+    ({"input_bounds": [0.0, 1.0]}, "expected \\(2, m\\)"),
+    ({"input_weight": 0.0}, "not unique"),
+    ({"output_weight": -np.ones(6)}, "none negative"),
+    ({"input_rate": np.array([1.0, 2.0])}, "expected one number or \\(4,\\)"),
+    ({"input_rate": 0.0}, "no limit"),
+    ({"horizon": 0}, "positive number of control steps"),
+    ({"period": 0.0}, "positive time"),
+])
+def test_a_problem_without_meaning_is_refused(bench, changes, message):
+    with pytest.raises(ValueError, match=message):
+        problem_of(bench, **changes)
+
+
+def test_a_reference_of_another_shape_is_refused(bench):
+    with pytest.raises(ValueError, match="one row per time"):
+        problem_of(bench, reference=lambda time: np.zeros((len(time), 2))).reference_ahead(0.0)

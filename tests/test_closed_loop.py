@@ -1,0 +1,137 @@
+"""Claims about closed-loop simulation and its record, on a plant whose answer is known."""
+
+import h5py
+import numpy as np
+import pytest
+
+from ssmr_torch.closed_loop import ClosedLoopRecord, simulate
+from ssmr_torch.control.base import Command
+from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.models.polynomial_tables import PolynomialTables
+from ssmr_torch.status import Status
+from ssmr_torch.tasks.references import Task
+
+
+def integrator(gain=1.0):
+    """dz/dt = gain u on the output itself, seen through a window with one delay of which the newest sample counts."""
+    return PolynomialTables(
+        chart=np.hstack([np.zeros((2, 2)), np.eye(2)]), parametrization=np.vstack([np.eye(2)] * 2),
+        drift=np.zeros((2, 2)), control=gain * np.eye(2), state_scale=np.full(2, 0.1), chart_degree=1,
+        parametrization_degree=1, dynamics_degree=1, control_degree=0, input_dim=2, output_dim=2, delays=1,
+        timestep=0.01, window_timestep=0.01, substeps=1)
+
+
+class Plant:
+    """y⁺ = y + gain · timestep · u."""
+
+    timestep, input_unit = 0.01, "N"
+    input_bounds = np.array([[-1.0, -1.0], [1.0, 1.0]])
+    output_names, input_names, rest = ("x", "y"), ("left", "right"), np.zeros(2)
+
+    def __init__(self, gain=1.0):
+        self.model = integrator(gain)
+        self.received = []
+        self.reset()
+
+    def reset(self, seed=None, state=None):
+        self.state = np.zeros(2) if state is None else np.array(state)
+        self.received.clear()
+        return self.state
+
+    def step(self, input):
+        self.received.append(input.copy())
+        self.state = self.model.step(self.state, np.clip(input, *self.input_bounds))
+        return self.state
+
+
+class Proportional:
+    """u = 2 (reference − measurement), with a fallback at one sample."""
+
+    period = 0.01
+
+    def __init__(self, task):
+        self.task, self.times = task, []
+
+    def reset(self):
+        self.times = []
+
+    def __call__(self, time, observation):
+        self.times.append(time)
+        u = 2.0 * (self.task.reference(time)[0] - observation)
+        return Command(u, fallback=Status.OUT_OF_RANGE if len(self.times) == 4 else None)
+
+
+TASK = Task("set point", 0.5, ("x", "y"), lambda time: np.tile([0.02, -0.01], (len(time), 1)))
+
+
+def test_the_loop_closes_with_the_known_convergence_rate():
+    """u = 2 e on an integrator: e decays by 1 − 2 · 0.01 per sample."""
+    plant, controller = Plant(), Proportional(TASK)
+    record = simulate(plant, controller, TASK)
+    decay = (1 - 0.02) ** np.arange(51)
+    np.testing.assert_allclose(record.error, -decay[:, None] * [[0.02, -0.01]], rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(controller.times, record.time)
+    np.testing.assert_array_equal(plant.received, record.input[:-1])
+
+
+def test_an_observation_is_recorded_before_its_input_acts():
+    record = simulate(Plant(), Proportional(TASK), TASK)
+    np.testing.assert_allclose(np.diff(record.observation, axis=0), 0.01 * record.input[:-1], atol=1e-15)
+
+
+def test_fallbacks_and_their_reasons_are_recorded():
+    record = simulate(Plant(), Proportional(TASK), TASK)
+    assert np.flatnonzero(record.fallback).tolist() == [3]
+    assert record.statuses[3] == "OUT_OF_RANGE" and set(record.statuses) == {"", "OUT_OF_RANGE"}
+
+
+def test_noise_reaches_the_controller_and_not_the_recorded_position_and_is_fixed_by_the_seed():
+    records = [simulate(Plant(), Proportional(TASK), TASK, seed=seed, noise_std=1e-3) for seed in (0, 0, 1)]
+    noise = records[0].measurement - records[0].observation
+    assert noise.std() == pytest.approx(1e-3, rel=0.2)
+    np.testing.assert_array_equal(records[0].observation, records[1].observation)
+    assert np.abs(records[0].observation - records[2].observation).max() > 0
+    np.testing.assert_allclose(np.diff(records[0].observation, axis=0), 0.01 * records[0].input[:-1], atol=1e-15)
+
+
+def test_model_predictive_control_reaches_the_set_point_of_a_mismatched_plant():
+    task = Task("set point", 1.0, ("y",), lambda time: np.full((len(time), 1), 0.02))
+    controller = ModelPredictiveController(integrator(), task, Plant.input_bounds, output_names=Plant.output_names)
+    record = simulate(Plant(gain=0.9), controller, task)
+    assert record.tracked == (1,)
+    assert abs(record.error[-1, 0]) < 1e-5
+    np.testing.assert_allclose(record.observation[:, 0], 0.0, atol=1e-12)
+    held = np.isnan(record.solve_time)
+    np.testing.assert_array_equal(held, np.arange(101) % 2 == 1)
+    assert (record.iterations[~held] >= 1).all() and (record.iterations[held] == 0).all()
+    assert {status for status, h in zip(record.statuses, held) if not h} <= {"SOLVED", "ITERATION_LIMIT"}
+
+
+def test_a_record_survives_its_file(tmp_path):
+    record = simulate(Plant(), Proportional(TASK), TASK, noise_std=1e-4, provenance={"commit": "abc"})
+    loaded = ClosedLoopRecord.load(record.save(tmp_path / "deep" / "run.h5"))
+    for name, value in vars(record).items():
+        if isinstance(value, np.ndarray):
+            np.testing.assert_array_equal(getattr(loaded, name), value)
+        else:
+            assert getattr(loaded, name) == value
+    assert loaded.provenance["commit"] == "abc" and loaded.provenance["task"] == "set point"
+    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["run.h5"]
+
+
+def test_another_file_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no closed-loop record"):
+        ClosedLoopRecord.load(tmp_path / "none.h5")
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["time"] = [0.0]
+    with pytest.raises(ValueError, match="format None"):
+        ClosedLoopRecord.load(tmp_path / "other.h5")
+
+
+def test_a_period_that_the_plant_cannot_keep_is_refused():
+    controller = Proportional(TASK)
+    controller.period = 0.015
+    with pytest.raises(ValueError, match="0.015 s is 1.5 times the plant's timestep 0.01 s"):
+        simulate(Plant(), controller, TASK)
+    with pytest.raises(ValueError, match="noise_std"):
+        simulate(Plant(), Proportional(TASK), TASK, noise_std=-1.0)
