@@ -4,6 +4,7 @@ import functools
 import json
 import logging
 import os
+import warnings
 from pathlib import Path
 
 import hydra
@@ -22,7 +23,7 @@ def entry_point(name: str):
     def decorate(function):
         @functools.wraps(function)
         def task(config):
-            logging.captureWarnings(True)
+            quiet()
             try:
                 return function(config, Path(HydraConfig.get().runtime.output_dir))
             except InstantiationException as error:
@@ -33,6 +34,13 @@ def entry_point(name: str):
         return hydra.main(version_base="1.3", config_path=CONF, config_name=name)(task)
 
     return decorate
+
+
+def quiet() -> None:
+    """Silence what third parties say about themselves: hardware that is not there, advertisements, deprecations."""
+    for name in ("lightning.pytorch.utilities.rank_zero", "lightning.pytorch.accelerators.cuda"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    warnings.filterwarnings("ignore", module="lightning|torch")
 
 
 def save_json(path: Path, content: dict) -> None:

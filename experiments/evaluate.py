@@ -14,8 +14,9 @@ from ssmr_torch.provenance import provenance
 @entry_point("evaluate")
 def main(config, directory):
     paths = [config.artifact] if isinstance(config.artifact, str) else list(config.artifact)
-    models = artifact.by_name([artifact.load(path) for path in paths])
-    dataset = instantiate(config.data)
+    loaded = [artifact.load(path) for path in paths]
+    models = artifact.by_name(loaded)
+    dataset = instantiate(config.data).observing(artifact.common_outputs(loaded))
     runs = dataset.select(config.split, config.kind)
     if not runs:
         raise ValueError(f"no trajectory has split={config.split} and kind={config.kind}; "

@@ -14,7 +14,7 @@ from ssmr_torch.provenance import provenance
 @entry_point("train")
 def main(config, directory):
     lightning.seed_everything(config.seed, workers=True, verbose=False)
-    dataset = instantiate(config.data)
+    dataset = instantiate(config.data).observing(config.outputs)
     loggers = [instantiate(logger) for logger in config.logger.values()]
     configuration = OmegaConf.to_container(config, resolve=True)
     try:

@@ -103,6 +103,14 @@ def by_name(artifacts: list[Artifact]) -> dict[str, PolynomialTables]:
     return models
 
 
+def common_outputs(artifacts: list[Artifact]) -> list[str]:
+    """The outputs that all of them observe. Raises ValueError when they differ: their errors would not compare."""
+    names = [loaded.card["output_names"] for loaded in artifacts]
+    if any(others != names[0] for others in names):
+        raise ValueError(f"the artifacts observe different outputs {names}; compare models of the same ones")
+    return names[0]
+
+
 def check_plant(loaded: Artifact, plant) -> None:
     """Raises ValueError when the plant's outputs, inputs or input unit are not those that the model was trained on."""
     card = loaded.card

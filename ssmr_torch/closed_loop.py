@@ -22,10 +22,11 @@ FORMAT = "ssmr_torch closed loop 1"
 class ClosedLoopRecord:
     """One run in closed loop, T samples.
 
-    time (T,) s; reference (T, q) m in the columns `tracked` of the outputs; observation (T, p) m, the plant's own;
-    measurement (T, p) m, the same with noise, as the controller saw it; input (T, m), held from time[k] to time[k+1].
-    fallback (T,) whether the controller fell back; statuses (T,) name of the Status, empty where nothing was decided;
-    solve_time (T,) s spent in the controller, and iterations (T,) programs solved; NaN and 0 where an input was held.
+    time (T,) s; reference (T, q) m in the columns `tracked` of the outputs; observation (T, p) m, the plant's
+    own; measurement (T, p) m, the same with noise, as the controller saw it; input (T, m), held from time[k]
+    to time[k+1]. fallback (T,) whether the controller fell back; statuses (T,) name of the Status, empty
+    where nothing was decided; solve_time (T,) s spent in the controller, and iterations (T,) programs solved;
+    NaN and 0 where an input was held.
     """
 
     time: np.ndarray
@@ -84,7 +85,8 @@ class ClosedLoopRecord:
             arrays = {name: file[name][:] for name in ARRAYS}
             statuses = tuple(file["statuses"].asstr()[:])
         return cls(**arrays, statuses=statuses, tracked=card["tracked"], output_names=card["output_names"],
-                   input_names=card["input_names"], input_unit=card["input_unit"], provenance=card["provenance"])
+                   input_names=card["input_names"], input_unit=card["input_unit"],
+                   provenance=card["provenance"])
 
 
 def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, progress: bool = False,
@@ -96,8 +98,8 @@ def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, 
     """
     ratio = controller.period / plant.timestep
     if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
-        raise ValueError(f"the control period {controller.period} s is {ratio:.6g} times the plant's timestep "
-                         f"{plant.timestep} s; expected a whole multiple")
+        raise ValueError(f"the control period {controller.period} s is {ratio:.6g} times the plant's "
+                         f"timestep {plant.timestep} s; expected a whole multiple")
     if not noise_std >= 0:
         raise ValueError(f"noise_std is {noise_std} m; expected zero or more")
     time = plant.timestep * np.arange(int(np.ceil(task.duration / plant.timestep - 1e-9)) + 1)

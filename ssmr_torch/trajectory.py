@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -59,6 +59,10 @@ class Trajectory:
     def read(self) -> Trajectory:
         return self
 
+    def observing(self, columns: Sequence[int]) -> Trajectory:
+        """The same run seen through these columns of the observation."""
+        return replace(self, observation=self.observation[:, list(columns)])
+
     def part(self, start: int, stop: int | None = None, **changes) -> Trajectory:
         """The samples start ≤ k < stop as a trajectory of their own, with other fields changed by name."""
         kept = slice(start, stop)
@@ -78,13 +82,22 @@ class StoredTrajectory:
     length: int
     timestep: float
     first: int = 0
+    columns: tuple[int, ...] | None = None
 
     def slice(self, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
         """Observations and inputs of the samples start ≤ k < stop."""
         rows = slice(self.first + start, self.first + min(stop, self.length))
         with h5py.File(self.path, "r") as file:
             group = file[self.key]
-            return group["observation"][rows], group["input"][rows]
+            return self._observed(group["observation"][rows]), group["input"][rows]
+
+    def observing(self, columns: Sequence[int]) -> StoredTrajectory:
+        """The same run seen through these columns of the observation."""
+        available = range(self.slice(0, 1)[0].shape[1]) if self.columns is None else self.columns
+        return replace(self, columns=tuple(available[column] for column in columns))
+
+    def _observed(self, observation: np.ndarray) -> np.ndarray:
+        return observation if self.columns is None else observation[:, list(self.columns)]
 
     def part(self, start: int, stop: int | None = None, **changes) -> StoredTrajectory:
         """The samples start ≤ k < stop as a trajectory of their own, with other fields changed by name."""
@@ -95,7 +108,7 @@ class StoredTrajectory:
         rows = slice(self.first, self.first + self.length)
         with h5py.File(self.path, "r") as file:
             group = file[self.key]
-            return Trajectory(group["time"][rows], group["observation"][rows], group["input"][rows],
+            return Trajectory(group["time"][rows], self._observed(group["observation"][rows]), group["input"][rows],
                               self.kind, self.split, self.name)
 
 
@@ -166,8 +179,13 @@ class TrajectoryDataset(Sequence):
             raise ValueError(f"no outputs {unknown}; the dataset has {list(self.output_names)}")
         return [self.output_names.index(name) for name in (self.output_names if names is None else names)]
 
-    def with_trajectories(self, trajectories: Iterable) -> TrajectoryDataset:
-        return replace(self, trajectories=tuple(trajectories))
+    def observing(self, names: Sequence[str] | None) -> TrajectoryDataset:
+        """The same runs seen through these outputs only, in this order; all of them where none are named."""
+        if names is None or tuple(names) == self.output_names:
+            return self
+        columns = self.columns(names)
+        return replace(self, trajectories=tuple(t.observing(columns) for t in self.trajectories),
+                       rest=self.rest[columns], output_names=tuple(names))
 
     def save(self, path: str | Path) -> Path:
         """Write all trajectories to one HDF5 file; the file appears only when it is complete."""

@@ -1,6 +1,6 @@
-"""A model over the horizon: rollout, sensitivities, and condensing into a quadratic program in the inputs only.
+"""A model over the horizon: rollout, sensitivities, condensing to a quadratic program in the inputs.
 
-`horizon_for` chooses: a compiled kernel where the model is polynomial tables, its NumPy twin for every other model.
+`horizon_for` chooses: a compiled kernel for polynomial tables, its NumPy twin for every other model.
 """
 
 from __future__ import annotations
@@ -18,8 +18,10 @@ TABLES = ("drift", "control", "parametrization")
 class Condensed(NamedTuple):
     """The problem around the inputs U: states (N+1, n), outputs y_1 … y_N (N, p), and in v = u / input_scale
 
-    hessian (N m, N m) = 2 (Σ_k Y_kᵀ Q_k Y_k + R)    with Y_k = ∂y_k/∂v, the Gauss-Newton matrix of J / cost_scale,
-    gradient (N m,)    = 2 (Σ_k Y_kᵀ Q_k (y_k − ŷ_k) + R v), its exact gradient.
+        hessian (N m, N m) = 2 (Σ_k Y_kᵀ Q_k Y_k + R),   Y_k = ∂y_k/∂v,
+        gradient (N m,)    = 2 (Σ_k Y_kᵀ Q_k (y_k − ŷ_k) + R v),
+
+    the Gauss-Newton matrix and the exact gradient of J / cost_scale, with Q and R scaled alike.
     The hessian is at least twice the identity.
     """
 
@@ -33,7 +35,7 @@ class Horizon(Protocol):
     """A model and a problem, ready for single shooting from a measured state."""
 
     def rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States (N+1, n) and outputs y_1 … y_N (N, p) from state (n,) under inputs (N, m), one per control step."""
+        """States (N+1, n) and outputs y_1 … y_N (N, p) from state (n,) under inputs (N, m)."""
 
     def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
         """The problem around these inputs with ŷ_1 … ŷ_N = reference (N, p)."""
@@ -45,15 +47,15 @@ def horizon_for(model, problem: TrackingProblem) -> Horizon:
     Raises ValueError when the model's inputs or outputs are not those of the problem.
     """
     if (model.input_dim, model.output_dim) != (problem.input_dim, problem.output_dim):
-        raise ValueError(f"the model has {model.input_dim} inputs and {model.output_dim} outputs; the problem bounds "
-                         f"{problem.input_dim} inputs and weights {problem.output_dim} outputs")
+        raise ValueError(f"the model has {model.input_dim} inputs and {model.output_dim} outputs; the problem "
+                         f"bounds {problem.input_dim} inputs and weights {problem.output_dim} outputs")
     model = model.at_timestep(problem.period)
     polynomial = all(isinstance(getattr(model, name, None), np.ndarray) for name in TABLES)
     return (PolynomialHorizon if polynomial else LinearizedHorizon)(model, problem)
 
 
 class LinearizedHorizon:
-    """Any model, through its methods `rollout`, `linearize` and `linearize_output`, batched over the horizon."""
+    """Any model, through `rollout`, `linearize` and `linearize_output`, batched over the horizon."""
 
     def __init__(self, model, problem: TrackingProblem):
         self.model, self.problem = model, problem
@@ -82,9 +84,9 @@ class LinearizedHorizon:
 
 
 class PolynomialHorizon:
-    """Polynomial tables, compiled: the rate and its Jacobian are tables times z^{0:d}, so each is one product.
+    """Polynomial tables, compiled: the rate and its Jacobian are both a table times z^{0:d}.
 
-    Runge-Kutta steps of order four carry [∂z/∂z_0, ∂z/∂u] along; a test holds the kernel to `LinearizedHorizon`.
+    Runge-Kutta steps of order four carry the sensitivities along; `LinearizedHorizon` is the reference.
     """
 
     def __init__(self, model, problem: TrackingProblem):
@@ -105,7 +107,7 @@ class KernelTables(NamedTuple):
     """Coefficients of z^{0:d}, one column per monomial.
 
     parent, variable: monomial 1 + n + i is monomial parent[i] times z[variable[i]].
-    rate (n, ·), output (p, ·): dz/dt without input, and y.     rate_z (n n, ·), output_z (p n, ·): their Jacobians.
+    rate (n, ·), output (p, ·): dz/dt without input, and y.   rate_z (n n, ·), output_z (p n, ·): Jacobians.
     field (n m, ·), field_z (m, n n, ·): the control field, and its Jacobian for each input.
     """
 
@@ -135,8 +137,9 @@ def _kernel_tables(model) -> KernelTables:
     newest = model.parametrization[-p:]
     return KernelTables(
         np.concatenate(parents), np.concatenate(variables), _widened(rate, field.shape[-1]),
-        _widened(rate_z, field_z.shape[-1]), field.reshape(n * m, -1), field_z, np.insert(newest, 0, 0.0, axis=1),
-        _derivative(newest, model.parametrization_monomials), model.timestep, model.substeps)
+        _widened(rate_z, field_z.shape[-1]), field.reshape(n * m, -1), field_z,
+        np.insert(newest, 0, 0.0, axis=1), _derivative(newest, model.parametrization_monomials),
+        model.timestep, model.substeps)
 
 
 def _derivative(table: np.ndarray, monomials) -> np.ndarray:

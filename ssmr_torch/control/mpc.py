@@ -1,4 +1,4 @@
-"""Model predictive control: window of measurements → chart → plan → first input, again at every control step."""
+"""Model predictive control: window of measurements → chart → plan → first input, at every control step."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ REFERENCE_CHANGE = 1e-6
 
 
 class ModelPredictiveController:
-    """Receding-horizon tracking with a reduced model (paper, section 4.4; `TrackingProblem` states the problem).
+    """Receding-horizon tracking with a reduced model (paper, section 4.4; see `TrackingProblem`).
 
-    model: encode, decode, rollout, linearize, linearize_output, at_timestep on NumPy arrays, such as PolynomialTables.
+    model: NumPy encode, decode, rollout, linearize, linearize_output, at_timestep; such as PolynomialTables.
     task: `columns(output_names)` and `reference(time)`, such as `tasks.references.Task`.
     input_bounds: (2, m).   timestep: time between two measurements, s; default the model's window_timestep.
     period: time between two plans, s, a multiple of timestep; the input is held in between.
-    output_weight: on every tracked output, 1/m².   terminal_weight: added to it at the end of the horizon, 1/m².
+    output_weight: on every tracked output, 1/m².   terminal_weight: added to it at the horizon's end, 1/m².
     input_weight: 1/N².   input_rate: N/s.   safe_input: (m,), default the admissible input nearest to zero.
-    iterations: quadratic programs per step; one is the real-time iteration.   first_iterations: the same after a
-    start, a fallback, a gap in time or a change of the reference.
-    range_factor: a state with a norm beyond this factor times that of the model's state_scale is not believed.
+    iterations: quadratic programs per step; one is the real-time iteration.   first_iterations: the same
+    after a start, a fallback, a gap in time or a change of the reference.
+    range_factor: a state is not believed when its norm exceeds that of state_scale by this factor.
     solver: with `solve(QuadraticProgram)` and `reset()`; default ProxQP.
 
-    A step that cannot be trusted falls back to the plan made last, then to safe_input, under the same bounds and rate;
-    `fallbacks` counts the reasons by Status. Everything is compiled and run once at construction.
+    A step that cannot be trusted falls back to the plan made last, then to safe_input, under the same bounds
+    and rate; `fallbacks` counts the reasons by Status. Everything is compiled and run once at construction.
     Raises ValueError when a period is not a multiple of the timestep or sizes disagree.
     """
 
@@ -42,7 +42,8 @@ class ModelPredictiveController:
                  iterations: int = 1, first_iterations: int = 3, tolerance: float = 1e-6,
                  range_factor: float = 3.0, solver=None):
         if iterations < 1 or first_iterations < 1:
-            raise ValueError(f"iterations {iterations} and first_iterations {first_iterations} must be at least 1")
+            raise ValueError(f"iterations is {iterations} and first_iterations {first_iterations}; "
+                             "expected 1 or more")
         self.model, self.task = model, task
         self.timestep = float(model.window_timestep if timestep is None else timestep)
         self.period = float(period)
@@ -51,7 +52,8 @@ class ModelPredictiveController:
         columns = task.columns(output_names)
         tracked = np.zeros(model.output_dim)
         if max(columns) >= model.output_dim:
-            raise ValueError(f"the task tracks output {max(columns)}; the model has {model.output_dim} outputs")
+            raise ValueError(f"the task tracks output {max(columns)}; "
+                             f"the model has {model.output_dim} outputs")
         tracked[list(columns)] = 1.0
         self.problem = TrackingProblem(
             _Reference(task, columns, model.output_dim), input_bounds, output_weight * tracked, input_weight,
@@ -60,7 +62,8 @@ class ModelPredictiveController:
         self.safe_input = self._safe_input(safe_input)
         rows = 0 if self.problem.rate_rows is None else len(self.problem.rate_rows[1])
         self.solver = ProxQP(horizon * self.problem.input_dim, rows) if solver is None else solver
-        self.iterations, self.first_iterations, self.tolerance = int(iterations), int(first_iterations), tolerance
+        self.iterations, self.first_iterations = int(iterations), int(first_iterations)
+        self.tolerance = float(tolerance)
         self._largest_norm = float(range_factor) * float(np.linalg.norm(model.state_scale))
         self._warm_up()
 
@@ -95,7 +98,8 @@ class ModelPredictiveController:
         """time in s; observation (p,), m. Raises ValueError for an observation of another size."""
         observation = np.array(observation, dtype=np.float64)
         if observation.shape != (self.model.output_dim,):
-            raise ValueError(f"the observation has shape {observation.shape}; expected ({self.model.output_dim},)")
+            raise ValueError(f"the observation has shape {observation.shape}; "
+                             f"expected ({self.model.output_dim},)")
         if not self._observations:
             # Before the first measurement the robot is taken to have rested where it is.
             self._observations.extend([observation] * self._observations.maxlen)
@@ -114,8 +118,10 @@ class ModelPredictiveController:
         if not (np.isfinite(window).all() and np.isfinite(time)):
             status = Status.NOT_FINITE
         else:
-            state = self.model.encode(window, inputs)
-            plan = self._solve(time, state) if np.linalg.norm(state) <= self._largest_norm else None
+            # Overflow is no accident here: it is how a state far outside the model's range shows.
+            with np.errstate(over="ignore", invalid="ignore"):
+                state = self.model.encode(window, inputs)
+                plan = self._solve(time, state) if np.linalg.norm(state) <= self._largest_norm else None
             status = Status.OUT_OF_RANGE if plan is None else plan.qp_status
         if not status.success:
             return self._fall_back(time, plan, status)
@@ -123,7 +129,7 @@ class ModelPredictiveController:
         return Command(plan.inputs[0].copy(), plan)
 
     def _window(self) -> tuple[np.ndarray, np.ndarray]:
-        """The delay window, oldest first, with the input that was set at each of its samples but the newest."""
+        """The delay window, oldest first, and the input set at each of its samples but the newest."""
         observations = np.stack(list(self._observations)[::self._stride])
         inputs = np.stack(list(self._inputs)[::self._stride]) if self._inputs.maxlen \
             else np.empty((0, self.problem.input_dim))
@@ -137,10 +143,10 @@ class ModelPredictiveController:
             guess = self._plan.shifted(steps)
         reference = self.problem.reference_ahead(time)
         continued = self._planned_now and steps == 1 and self._continues(reference)
-        return solve_scp(self.problem, self.horizon, state, guess, self.solver, time=time, reference=reference,
-                         last_input=self._last_input, tolerance=self.tolerance,
-                         max_iterations=self.iterations if continued else
-                         max(self.iterations, self.first_iterations))
+        iterations = self.iterations if continued else max(self.iterations, self.first_iterations)
+        return solve_scp(self.problem, self.horizon, state, guess, self.solver, time=time,
+                         reference=reference, last_input=self._last_input, max_iterations=iterations,
+                         tolerance=self.tolerance)
 
     def _steps_since_plan(self, time: float) -> int | None:
         """Control steps since the last plan, or None where it says nothing about now."""
@@ -178,6 +184,6 @@ class _Reference:
 def _multiple(name: str, time: float, timestep: float) -> int:
     ratio = time / timestep
     if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
-        raise ValueError(f"{name} is {time} s and the timestep of the measurements {timestep} s, {ratio:.6g} times; "
-                         "expected a whole multiple: change one of the two")
+        raise ValueError(f"{name} is {time} s and the timestep of the measurements {timestep} s, "
+                         f"{ratio:.6g} times; expected a whole multiple: change one of the two")
     return round(ratio)

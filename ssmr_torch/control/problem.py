@@ -22,11 +22,11 @@ class TrackingProblem:
 
     reference: time (K,) s → ŷ (K, p) m.   input_bounds: (2, m), lowest and highest input.
     output_weight, terminal_weight: diagonals of Q and Q_f, (p,) or one number, 1/m².
-    input_weight: diagonal of R, (m,) or one number, 1/N².   input_rate: (m,) or one number, N/s; None leaves it free.
-    Raises ValueError for sizes that disagree, crossed bounds, weights that leave the problem not strictly convex.
+    input_weight: diagonal of R, (m,) or one number, 1/N².   input_rate: (m,) or one number, N/s, or None.
+    Raises ValueError for sizes that disagree, crossed bounds, and weights without a unique minimum.
 
-    Inside the solver the variable is v = u / input_scale, in units of the input range, and the cost is J / cost_scale.
-    The scaled R is then at least the identity, so that a dual residual ε leaves an error of at most ε in v.
+    The solver sees v = u / input_scale, in units of the input range, and J / cost_scale. R is then at least
+    the identity, so that a dual residual ε leaves an error of at most ε in v.
     """
 
     reference: Callable[[np.ndarray], np.ndarray]
@@ -41,9 +41,11 @@ class TrackingProblem:
     def __post_init__(self):
         bounds = np.array(self.input_bounds, dtype=np.float64)
         if bounds.ndim != 2 or len(bounds) != 2:
-            raise ValueError(f"input_bounds has shape {bounds.shape}; expected (2, m): lowest and highest input")
+            raise ValueError(f"input_bounds has shape {bounds.shape}; "
+                             "expected (2, m): lowest and highest input")
         if not (np.isfinite(bounds).all() and (bounds[0] < bounds[1]).all()):
-            raise ValueError(f"input_bounds are {bounds.tolist()}; expected finite numbers, lowest below highest")
+            raise ValueError(f"input_bounds are {bounds.tolist()}; "
+                             "expected finite numbers, lowest below highest")
         if int(self.horizon) != self.horizon or self.horizon < 1:
             raise ValueError(f"horizon is {self.horizon}; expected a positive number of control steps")
         if not (np.isfinite(self.period) and self.period > 0):
@@ -59,8 +61,8 @@ class TrackingProblem:
         if self.input_rate is not None:
             self._set("input_rate", _diagonal("input_rate", self.input_rate, inputs))
             if not (self.input_rate > 0).all():
-                raise ValueError(f"input_rate is {self.input_rate.tolist()} per s; expected positive numbers, "
-                                 "or None for no limit")
+                raise ValueError(f"input_rate is {self.input_rate.tolist()} per s; "
+                                 "expected positive numbers, or None for no limit")
 
     def _set(self, name: str, array: np.ndarray) -> None:
         array.setflags(write=False)
@@ -110,7 +112,7 @@ class TrackingProblem:
         return np.tile(self.input_bounds / self.input_scale, self.horizon)
 
     def scaled_bounds(self, last_input: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of v, each (N m,); the change from `last_input` (m,) to u_0 is limited through those of v_0."""
+        """Bounds of v, each (N m,); those of v_0 also limit the change from `last_input` (m,)."""
         lower, upper = self._scaled_box
         if self.input_step is not None and last_input is not None:
             m = self.input_dim
@@ -120,7 +122,7 @@ class TrackingProblem:
         return lower, upper
 
     def admissible(self, inputs: np.ndarray, last_input: np.ndarray | None = None) -> np.ndarray:
-        """The sequence (K, m) moved into the bounds and, one after the other, within reach of the one before."""
+        """The sequence (K, m) moved into the bounds, and each input within reach of the one before."""
         inputs = np.minimum(np.maximum(inputs, self.input_bounds[0]), self.input_bounds[1])
         if self.input_step is not None:
             for k in range(len(inputs)):
@@ -131,10 +133,11 @@ class TrackingProblem:
 
     def reference_ahead(self, time: float) -> np.ndarray:
         """ŷ_1 … ŷ_N, (N, p), seen from `time` in s."""
-        reference = np.asarray(self.reference(time + self.period * np.arange(1, self.horizon + 1)), dtype=np.float64)
+        times = time + self.period * np.arange(1, self.horizon + 1)
+        reference = np.asarray(self.reference(times), dtype=np.float64)
         if reference.shape != self.stage_weight.shape:
-            raise ValueError(f"the reference has shape {reference.shape}; expected {self.stage_weight.shape}, "
-                             "one row per time and one column per output")
+            raise ValueError(f"the reference has shape {reference.shape}; "
+                             f"expected {self.stage_weight.shape}, one row per time and one column per output")
         return reference
 
     def cost(self, outputs: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> float:

@@ -1,6 +1,6 @@
 """Quadratic programs as values, and the solvers that take them.
 
-The residuals of a solution are computed here from the problem; what a solver says about itself is only a claim.
+Residuals are computed here from the problem; what a solver says about itself is only a claim.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from ssmr_torch.status import Status
 INFINITY = 1e20
 # A claim of success is refused when a recomputed residual exceeds the tolerance by this factor.
 RESIDUAL_FACTOR = 10.0
+# How much stricter the second attempt is.
+RETRY_FACTOR = 1e-2
 # Relative size of what rounding leaves of a residual, however tight the tolerance.
 ROUNDING = 1e-12
 
@@ -36,9 +38,9 @@ PROXQP_STATUS = {
 class QuadraticProgram:
     """min ½ xᵀH x + gᵀx  s.t.  lower ≤ x ≤ upper,  row_lower ≤ C x ≤ row_upper.
 
-    H (d, d) symmetric, g, lower, upper (d,), C (r, d), row_lower, row_upper (r,); infinite bounds are absent ones.
-    Without rows C is None. Raises ValueError when shapes disagree. The numbers themselves are judged by `defect`,
-    because a controller must get an answer, not an exception, for what it measured.
+    H (d, d) symmetric, g, lower, upper (d,), C (r, d), row_lower, row_upper (r,); infinite bounds are absent
+    ones. Without rows C is None. Raises ValueError when shapes disagree. The numbers themselves are judged by
+    `defect`, because a controller must get an answer, not an exception, for what it measured.
     """
 
     H: np.ndarray
@@ -52,16 +54,19 @@ class QuadraticProgram:
     def __post_init__(self):
         d = len(self.g)
         if not (self.H.shape == (d, d) and self.g.shape == self.lower.shape == self.upper.shape == (d,)):
-            raise ValueError(f"H {self.H.shape}, g {self.g.shape}, lower {self.lower.shape}, upper {self.upper.shape} "
-                             f"disagree; expected ({d}, {d}) and three times ({d},)")
+            raise ValueError(f"H {self.H.shape}, g {self.g.shape}, lower {self.lower.shape}, "
+                             f"upper {self.upper.shape} disagree; expected ({d}, {d}) and three times ({d},)")
         if self.C is None:
             if self.row_lower is not None or self.row_upper is not None:
                 raise ValueError("bounds of rows are given without the rows C")
         elif self.row_lower is None or self.row_upper is None:
-            raise ValueError(f"C has {len(self.C)} rows, but row_lower or row_upper is missing; use -inf and inf")
-        elif self.C.shape != (self.rows, d) or not self.row_lower.shape == self.row_upper.shape == (self.rows,):
-            raise ValueError(f"C {self.C.shape}, row_lower {self.row_lower.shape}, row_upper {self.row_upper.shape} "
-                             f"disagree; expected ({self.rows}, {d}) and twice ({self.rows},)")
+            raise ValueError(f"C has {len(self.C)} rows, but row_lower or row_upper is missing; "
+                             "use -inf and inf")
+        elif not (self.C.shape == (self.rows, d)
+                  and self.row_lower.shape == self.row_upper.shape == (self.rows,)):
+            raise ValueError(f"C {self.C.shape}, row_lower {self.row_lower.shape}, "
+                             f"row_upper {self.row_upper.shape} disagree; "
+                             f"expected ({self.rows}, {d}) and twice ({self.rows},)")
 
     @property
     def dim(self) -> int:
@@ -72,28 +77,31 @@ class QuadraticProgram:
         return 0 if self.C is None else len(self.C)
 
     def defect(self) -> Status | None:
-        """Why no solver should be asked: NaN, crossed bounds, H not positive semidefinite; None where all is well."""
+        """Why no solver should be asked: NaN, crossed bounds, H not semidefinite; None where all is well."""
         finite = np.isfinite(self.H).all() and np.isfinite(self.g).all()
         if self.C is not None:
             finite = finite and np.isfinite(self.C).all()
         if not finite or any(np.isnan(bound).any() for bound in self._bounds()):
             return Status.NOT_FINITE
-        if (self.lower > self.upper).any() or (self.C is not None and (self.row_lower > self.row_upper).any()):
+        crossed = (self.lower > self.upper).any()
+        if crossed or (self.C is not None and (self.row_lower > self.row_upper).any()):
             return Status.PRIMAL_INFEASIBLE
         shifted = self.H.copy()
         shifted.flat[::self.dim + 1] += 1e-10 * max(1.0, np.abs(self.H).max())
         return None if dpotrf(shifted, overwrite_a=1)[1] == 0 else Status.DUAL_INFEASIBLE
 
     def failure(self) -> Status:
-        """Why a solver found nothing, by two linear programs: no feasible point, a descent without end, or neither."""
+        """Why a solver found nothing, by two linear programs: no feasible point, or endless descent."""
         A, b = None, None
         if self.C is not None:
             A, b = np.vstack([self.C, -self.C]), np.concatenate([self.row_upper, -self.row_lower])
             A, b = A[np.isfinite(b)], b[np.isfinite(b)]
         if linprog(np.zeros(self.dim), A, b, bounds=np.stack([self.lower, self.upper], axis=1)).status == 2:
             return Status.PRIMAL_INFEASIBLE
-        rays = np.stack([np.where(np.isinf(self.lower), -1.0, 0.0), np.where(np.isinf(self.upper), 1.0, 0.0)], axis=1)
-        steepest = linprog(self.g, A, None if A is None else np.zeros(len(A)), self.H, np.zeros(self.dim), rays)
+        rays = np.stack([np.where(np.isinf(self.lower), -1.0, 0.0),
+                         np.where(np.isinf(self.upper), 1.0, 0.0)], axis=1)
+        still = None if A is None else np.zeros(len(A))
+        steepest = linprog(self.g, A, still, self.H, np.zeros(self.dim), rays)
         endless = steepest.status == 0 and steepest.fun < -1e-9
         return Status.DUAL_INFEASIBLE if endless else Status.ITERATION_LIMIT
 
@@ -104,7 +112,7 @@ class QuadraticProgram:
 
 @dataclass(frozen=True, eq=False)
 class QPSolution:
-    """x (d,) with multipliers w (d,) of the box and z (r,) of the rows, positive at upper bounds, negative at lower.
+    """x (d,) with multipliers w (d,) of the box and z (r,) of the rows, positive at upper bounds.
 
     primal_residual: largest violation of a bound.     dual_residual: ‖H x + g + w + Cᵀz‖_∞.
     gap: |xᵀH x + gᵀx + Σ bound · multiplier|, zero at a solution.     All infinite where nothing was found.
@@ -126,8 +134,8 @@ class QPSolution:
         return cls(nan, nan, np.full(problem.rows, np.nan), status, 0, np.inf, np.inf, np.inf)
 
     @classmethod
-    def judged(cls, problem: QuadraticProgram, x: np.ndarray, box: np.ndarray, rows: np.ndarray, claim: Status,
-               iterations: int, tolerance: float) -> QPSolution:
+    def judged(cls, problem: QuadraticProgram, x: np.ndarray, box: np.ndarray, rows: np.ndarray,
+               claim: Status, iterations: int, tolerance: float) -> QPSolution:
         """The solution with its own residuals; a claim of success that they do not support is refused."""
         Hx = problem.H @ x
         stationarity = Hx + problem.g + box
@@ -147,7 +155,8 @@ class QPSolution:
 
     def _within(self, problem: QuadraticProgram, tolerance: float) -> bool:
         """The gap is measured per unit of multiplier: the mean distance from the bounds that hold one."""
-        weight = 1.0 + np.abs(self.box_multipliers).sum() + np.abs(self.row_multipliers).sum() + np.abs(self.x).sum()
+        parts = (self.x, self.box_multipliers, self.row_multipliers)
+        weight = 1.0 + sum(np.abs(part).sum() for part in parts)
         return (self.primal_residual <= tolerance and self.gap <= tolerance * weight
                 and self.dual_residual <= tolerance + ROUNDING * np.abs(problem.g).max())
 
@@ -172,14 +181,17 @@ class ProxQP:
         self.warm = rows > 0 if warm is None else warm
         self.reset()
 
-    def reset(self) -> None:
+    def reset(self, tolerance: float | None = None) -> None:
         """Forget the workspace: the same problems then give the same solutions again, to rounding."""
+        tolerance = self.tolerance if tolerance is None else tolerance
         self._workspace, self._fresh = proxqp.dense.QP(self.dim, 0, self.rows, True), True
         settings = self._workspace.settings
-        settings.eps_abs, settings.eps_rel = self.tolerance, 0.0
+        settings.eps_abs, settings.eps_rel = tolerance, 0.0
+        # Its own certificates of infeasibility, at their usual tolerance, also condemn feasible problems.
+        settings.eps_primal_inf = settings.eps_dual_inf = ROUNDING
         # Without its gap ProxQP calls points solved that keep a multiplier on a bound that they do not touch.
         settings.check_duality_gap = True
-        settings.eps_duality_gap_abs, settings.eps_duality_gap_rel = self.tolerance, ROUNDING
+        settings.eps_duality_gap_abs, settings.eps_duality_gap_rel = tolerance, ROUNDING
         settings.max_iter = settings.max_iter_in = self.max_iterations
 
     def solve(self, problem: QuadraticProgram) -> QPSolution:
@@ -190,37 +202,48 @@ class ProxQP:
         defect = problem.defect()
         if defect is not None:
             return QPSolution.none(problem, defect)
-        fresh = self._fresh
         solution = self._attempt(problem)
-        if not solution.status.success and not fresh:
-            # The preconditioner and the warm start of other problems can mislead; a claim of failure counts only anew.
-            self.reset()
+        if not solution.status.success:
+            # What other problems left behind can mislead: a fresh, stricter start has the last word.
+            self.reset(RETRY_FACTOR * self.tolerance)
             solution = self._attempt(problem)
+            self.reset()
         if solution.status in (Status.ITERATION_LIMIT, Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE):
             solution = replace(solution, status=problem.failure())
-        if not solution.status.success:
-            self.reset()
         return solution
 
     def _attempt(self, problem: QuadraticProgram) -> QPSolution:
-        self._load(problem)
+        shift = self._load(problem)
         self._workspace.solve()
         results = self._workspace.results
         z = results.z.copy()
-        return QPSolution.judged(problem, results.x.copy(), z[self.rows:], z[:self.rows],
+        return QPSolution.judged(problem, results.x + shift, z[self.rows:], z[:self.rows],
                                  PROXQP_STATUS[results.info.status], results.info.iter, self.tolerance)
 
-    def _load(self, problem: QuadraticProgram) -> None:
-        bounds = [np.clip(bound, -INFINITY, INFINITY) for bound in problem._bounds()]
-        lower, upper, row_lower, row_upper = bounds if self.rows else (*bounds, None, None)
-        arguments = (problem.H, problem.g, None, None, problem.C, row_lower, row_upper, lower, upper)
+    def _load(self, problem: QuadraticProgram) -> np.ndarray:
+        """Hand over the problem in x − shift, the middle of its box.
+
+        On a bound at zero a multiplier of the wrong sign adds nothing to the gap: ProxQP calls that solved.
+        """
+        lower = np.clip(problem.lower, -INFINITY, INFINITY)
+        upper = np.clip(problem.upper, -INFINITY, INFINITY)
+        two_sided = np.isfinite(problem.lower) & np.isfinite(problem.upper)
+        shift = np.where(two_sided, 0.5 * (lower + upper), 0.0)
+        row_lower = row_upper = None
+        if self.rows:
+            offset = problem.C @ shift
+            row_lower = np.clip(problem.row_lower - offset, -INFINITY, INFINITY)
+            row_upper = np.clip(problem.row_upper - offset, -INFINITY, INFINITY)
+        arguments = (problem.H, problem.g + problem.H @ shift, None, None, problem.C, row_lower, row_upper,
+                     lower - shift, upper - shift)
         if self._fresh:
             self._workspace.init(*arguments)
             self._fresh = False
-            return
+            return shift
         if self.warm:
             self._workspace.settings.initial_guess = proxqp.WARM_START_WITH_PREVIOUS_RESULT
         self._workspace.update(*arguments, update_preconditioner=False)
+        return shift
 
 
 class QPSolvers:
@@ -232,7 +255,8 @@ class QPSolvers:
 
     def __init__(self, name: str, *, tolerance: float = 1e-6, **options):
         if name not in qpsolvers.available_solvers:
-            raise ValueError(f"solver {name!r} is not installed; available: {sorted(qpsolvers.available_solvers)}")
+            raise ValueError(f"solver {name!r} is not installed; "
+                             f"available: {sorted(qpsolvers.available_solvers)}")
         self.name, self.tolerance, self.options = name, float(tolerance), options
 
     def reset(self) -> None:
@@ -261,7 +285,7 @@ class QPSolvers:
 
 
 def _support(lower: np.ndarray, upper: np.ndarray, multiplier: np.ndarray) -> float:
-    """Σ of upper · positive part + lower · negative part; infinite where an absent bound holds a multiplier."""
+    """Σ bound · multiplier; infinite where an absent bound holds a multiplier."""
     bound = np.where(multiplier > 0, upper, lower)
     used = multiplier != 0
     return float(bound[used] @ multiplier[used])

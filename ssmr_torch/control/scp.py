@@ -22,9 +22,9 @@ class Plan:
 
     states (N+1, n), inputs (N, m), outputs y_1 … y_N (N, p), reference (N, p); time of the first input, s.
     cost: that of the model's own rollout under `inputs`, never of its linearization.
-    status: how the optimization ended. qp_status: how its last quadratic program ended; where that is a success, the
-    inputs are usable although the sequence may not have converged.
-    iterations: quadratic programs solved. primal_residual, dual_residual, gap: of the last one, scaled as it is.
+    status: how the optimization ended. qp_status: how its last quadratic program ended; where that is a
+    success, the inputs are usable although the sequence may not have converged.
+    iterations: quadratic programs solved. primal_residual, dual_residual, gap: of the last one.
     solve_time: linearization, condensing and solution, s.
     """
 
@@ -53,12 +53,12 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
               max_iterations: int = 20, tolerance: float = 1e-8) -> Plan:
     """Gauss-Newton sequence of quadratic programs from the inputs `guess` (N, m) and the measured state (n,).
 
-    time: of the first input, s. reference: (N, p) m, default the problem's own from there on. last_input: (m,), the
-    input before the first, from which the rate limit counts; None leaves the first input free.
-    max_iterations = 1 is the real-time iteration [Diehl et al. 2005]: one full step, SOLVED when its program is.
-    More iterations search along each step until the cost of the rollout falls enough [Armijo 1966]; they have
-    converged when the decrease that the gradient promises is below `tolerance` times the cost.
-    Pure but for the solver's workspace. Never raises for lack of convergence: the plan's status says how it ended.
+    time: of the first input, s. reference: (N, p) m, default the problem's own from there on. last_input:
+    (m,), the input before the first, from which the rate limit counts; None leaves the first input free.
+    max_iterations = 1 is the real-time iteration [Diehl et al. 2005]: one full step, SOLVED when its program
+    is. More iterations search along each step until the cost of the rollout falls enough [Armijo 1966]; they
+    have converged when the decrease that the gradient promises is below `tolerance` times the cost.
+    Pure but for the solver's workspace. Never raises for lack of convergence: the status says how it ended.
     """
     start = perf_counter()
     reference = problem.reference_ahead(time) if reference is None else reference
@@ -94,7 +94,8 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     return _plan(time, states, inputs, outputs, reference, cost, status, solution, iterations, start)
 
 
-def _quadratic_program(problem: TrackingProblem, point: Condensed, inputs: np.ndarray, bounds) -> QuadraticProgram:
+def _quadratic_program(problem: TrackingProblem, point: Condensed, inputs: np.ndarray,
+                       bounds: tuple[np.ndarray, np.ndarray]) -> QuadraticProgram:
     """J / cost_scale to second order around the inputs, in v = u / input_scale."""
     v = (inputs / problem.input_scale).ravel()
     gradient = point.gradient - point.hessian @ v
@@ -105,7 +106,7 @@ def _quadratic_program(problem: TrackingProblem, point: Condensed, inputs: np.nd
 
 
 def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, halvings):
-    """(inputs, states, outputs, cost) of the first step 1, ½, ¼, … that lowers the cost enough; None if none does.
+    """(inputs, states, outputs, cost) of the first step 1, ½, ¼, … that lowers the cost enough, or None.
 
     Without halvings the full step is taken wherever its rollout is finite.
     """
@@ -120,11 +121,12 @@ def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slo
     return None
 
 
-def _plan(time, states, inputs, outputs, reference, cost, status, solution: QPSolution | None, iterations, start):
+def _plan(time, states, inputs, outputs, reference, cost, status, solution: QPSolution | None, iterations,
+          start) -> Plan:
     if solution is None:
         residuals, qp_status = (np.inf, np.inf, np.inf), status
     else:
         residuals = (solution.primal_residual, solution.dual_residual, solution.gap)
-        qp_status = solution.status if np.isfinite(cost) and status is not Status.NOT_FINITE else Status.NOT_FINITE
+        qp_status = status if status is Status.NOT_FINITE else solution.status
     return Plan(time, states, inputs, outputs, reference, cost, status, qp_status, iterations, *residuals,
                 perf_counter() - start)

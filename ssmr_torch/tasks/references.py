@@ -12,8 +12,8 @@ import numpy as np
 class Task:
     """A reference path for some outputs of a robot.
 
-    path: times (K,) s in [0, duration] → (K, q) m relative to rest.   duration: s; before 0 and after it the reference
-    stands still.   tracked: the q outputs by index, or by name where the robot's names are known.
+    path: times (K,) s in [0, duration] → (K, q) m relative to rest.   duration: s; before 0 and after it the
+    reference stands still.   tracked: the q outputs by index, or by name where the robot's names are known.
     Raises ValueError for a duration that is not positive or tracked outputs that repeat.
     """
 
@@ -27,7 +27,8 @@ class Task:
         if not (np.isfinite(self.duration) and self.duration > 0):
             raise ValueError(f"task {self.name!r} lasts {self.duration} s; expected a positive time")
         if not self.tracked or len(set(self.tracked)) != len(self.tracked):
-            raise ValueError(f"task {self.name!r} tracks {self.tracked}; expected at least one output, each once")
+            raise ValueError(f"task {self.name!r} tracks {self.tracked}; "
+                             "expected at least one output, each once")
 
     def reference(self, time: np.ndarray) -> np.ndarray:
         """(K,) s → (K, q) m. Raises ValueError when the path returns another shape."""
@@ -35,11 +36,13 @@ class Task:
         reference = np.asarray(self.path(time), dtype=np.float64)
         if reference.shape != (len(time), len(self.tracked)):
             raise ValueError(f"the path of task {self.name!r} has shape {reference.shape}; expected "
-                             f"{(len(time), len(self.tracked))}: one row per time, one column per tracked output")
+                             f"{(len(time), len(self.tracked))}: one row per time, one column per output")
         return reference
 
     def columns(self, output_names: Sequence[str] | None = None) -> tuple[int, ...]:
-        """Indices of the tracked outputs. Raises ValueError for a name or an index that the robot does not have."""
+        """Indices of the tracked outputs. Raises ValueError for a name or an index that the robot does not
+        have.
+        """
         columns = []
         for output in self.tracked:
             if isinstance(output, str):
@@ -54,9 +57,11 @@ class Task:
 
 def figure_eight(amplitude: float = 0.015, angular_speed: float = 4.0, laps: float = 6.0, ramp: float = 1.0,
                  tracked: Sequence[int | str] = (0, 1), name: str = "figure eight") -> Task:
-    """(−a sin θ, a sin 2θ), 9.4294 a long per lap, from rest at the origin; θ speeds up and slows down in `ramp` s.
+    """(−a sin θ, a sin 2θ), 9.4294 a long per lap, from rest at the origin; θ speeds up and slows down in
+    `ramp` s.
 
-    amplitude a in m; angular_speed in rad/s (the paper's slow and fast ones are 0.2 and 4); laps may be a fraction.
+    amplitude a in m; angular_speed in rad/s (the paper's slow and fast ones are 0.2 and 4); laps may be a
+    fraction.
     """
     phase, duration = ramped_phase(2 * np.pi * laps, angular_speed, ramp)
 
@@ -69,7 +74,9 @@ def figure_eight(amplitude: float = 0.015, angular_speed: float = 4.0, laps: flo
 
 def circle(amplitude: float = 0.010, angular_speed: float = 17.0, laps: float = 20.0, ramp: float = 1.0,
            tracked: Sequence[int | str] = (1, 2), name: str = "circle") -> Task:
-    """(a sin θ, a − a cos θ): a circle through the rest position, begun and ended at rest; arguments as above."""
+    """(a sin θ, a − a cos θ): a circle through the rest position, begun and ended at rest; arguments as
+    above.
+    """
     phase, duration = ramped_phase(2 * np.pi * laps, angular_speed, ramp)
 
     def path(time):
@@ -80,15 +87,18 @@ def circle(amplitude: float = 0.010, angular_speed: float = 17.0, laps: float = 
 
 
 def ramped_phase(total: float, speed: float, ramp: float) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
-    """A phase θ(t) from 0 to `total`, three times continuously differentiable, and the time in s that it takes.
+    """A phase θ(t) from 0 to `total`, three times continuously differentiable, and the time in s that it
+    takes.
 
-    dθ/dt rises to `speed` over `ramp` s along 6 s⁵ − 15 s⁴ + 10 s³, s = t / ramp, stays, and falls the same way.
+    dθ/dt rises to `speed` over `ramp` s along 6 s⁵ − 15 s⁴ + 10 s³, s = t / ramp, stays, and falls the same
+    way.
     Raises ValueError when the two ramps alone go further than `total`.
     """
     if not (total > 0 and speed > 0 and ramp >= 0):
-        raise ValueError(f"total {total} and speed {speed} must be positive, ramp {ramp} s must not be negative")
+        raise ValueError(f"total is {total}, speed {speed} and ramp {ramp} s; "
+                         "expected positive numbers, the ramp zero or more")
     if speed * ramp > total:
-        raise ValueError(f"speeding up and slowing down in {ramp} s each at {speed} per s covers {speed * ramp:.4g}, "
+        raise ValueError(f"speeding up and slowing down in {ramp} s each covers {speed * ramp:.4g}, "
                          f"more than the {total:.4g} in all; shorten the ramp or add laps")
     duration = total / speed + ramp
 

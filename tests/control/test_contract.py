@@ -25,7 +25,8 @@ def controller(request, bench):
 
 def measurements(count=60):
     rng = np.random.default_rng(0)
-    return 0.01 * np.sin(0.1 * np.arange(count)[:, None] + np.arange(6)) + 1e-4 * rng.standard_normal((count, 6))
+    waves = 0.01 * np.sin(0.1 * np.arange(count)[:, None] + np.arange(6))
+    return waves + 1e-4 * rng.standard_normal((count, 6))
 
 
 def inputs_of(controller, observations):

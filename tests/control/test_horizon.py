@@ -1,5 +1,7 @@
 """Claims about the problem over the horizon."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -33,7 +35,6 @@ def test_the_compiled_kernel_equals_its_numpy_twin(bench, degrees, seed):
 
 
 def test_the_kernel_equals_its_twin_for_a_curved_output_with_substeps(bench):
-    from dataclasses import replace
     rng = np.random.default_rng(0)
     model = bench.oscillators(0, 2, 1)
     curved = np.hstack([np.eye(6), 3.0 * rng.standard_normal((6, 77))])
@@ -42,7 +43,8 @@ def test_the_kernel_equals_its_twin_for_a_curved_output_with_substeps(bench):
     state, inputs = point_of(1)
     reference = problem.reference_ahead(0.0)
     kernel, twin = horizon_for(model, problem), LinearizedHorizon(model.at_timestep(problem.period), problem)
-    for ours, theirs in zip(kernel.condense(state, inputs, reference), twin.condense(state, inputs, reference)):
+    for ours, theirs in zip(kernel.condense(state, inputs, reference),
+                            twin.condense(state, inputs, reference)):
         assert np.abs(ours - theirs).max() <= 1e-12 * np.abs(theirs).max()
 
 
@@ -58,7 +60,8 @@ def test_the_gradient_is_that_of_the_cost_of_the_rollout(bench):
     v = (inputs / problem.input_scale).ravel()
     condensed = horizon.condense(state, inputs, reference)
     step = 1e-5 * np.eye(len(v))
-    differences = np.array([cost(v - 2 * e) - 8 * cost(v - e) + 8 * cost(v + e) - cost(v + 2 * e) for e in step])
+    differences = np.array([cost(v - 2 * e) - 8 * cost(v - e) + 8 * cost(v + e) - cost(v + 2 * e)
+                            for e in step])
     np.testing.assert_allclose(condensed.gradient, differences / 12e-5, rtol=1e-6,
                                atol=1e-8 * np.abs(condensed.gradient).max())
 

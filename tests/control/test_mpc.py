@@ -13,8 +13,8 @@ from ssmr_torch.tasks.references import Task, figure_eight
 
 
 def controller_of(bench, task=None, model=None, **settings):
-    return ModelPredictiveController(model or bench.oscillators(), task or figure_eight(laps=2.0), bench.BOUNDS,
-                                     **settings)
+    return ModelPredictiveController(model or bench.oscillators(), task or figure_eight(laps=2.0),
+                                     bench.BOUNDS, **settings)
 
 
 def run(controller, bench, samples, observe=lambda k, y: y):
@@ -41,7 +41,8 @@ def test_one_program_per_step_costs_at_most_two_percent_more_than_convergence(be
 
 def test_the_plant_follows_the_figure_eight_within_a_twentieth_of_its_size(bench):
     task = figure_eight(amplitude=0.010, laps=2.0)
-    record = simulate(bench.TablesPlant(bench.perturbed(bench.oscillators(), 0.03)), controller_of(bench, task), task)
+    plant = bench.TablesPlant(bench.perturbed(bench.oscillators(), 0.03))
+    record = simulate(plant, controller_of(bench, task), task)
     assert np.sqrt(np.mean(np.sum(record.error**2, axis=1))) < 0.010 / 20
 
 

@@ -1,5 +1,7 @@
 """Claims about quadratic programs and their solvers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from proxsuite import proxqp
@@ -26,7 +28,9 @@ def random_problem(rng, rows=0, equal=False):
 
 
 def dual_by_nnls(problem):
-    """The same problem as a least-distance problem solved by non-negative least squares [Lawson & Hanson, ch. 23]."""
+    """The same problem as a least-distance problem solved by non-negative least squares [Lawson & Hanson, ch.
+    23].
+    """
     I = np.eye(problem.dim)
     G, h = np.vstack([I, -I]), np.concatenate([problem.lower, -problem.upper])
     if problem.C is not None:
@@ -42,7 +46,9 @@ def dual_by_nnls(problem):
 
 
 def kkt_error(problem, solution):
-    """Largest violation of stationarity, feasibility, sign and complementarity, computed from the definitions."""
+    """Largest violation of stationarity, feasibility, sign and complementarity, computed from the
+    definitions.
+    """
     x, w, z = solution.x, solution.box_multipliers, solution.row_multipliers
     values, low, high, multipliers = x, problem.lower, problem.upper, w
     stationarity = problem.H @ x + problem.g + w
@@ -52,7 +58,8 @@ def kkt_error(problem, solution):
         low = np.concatenate([low, problem.row_lower])
         high = np.concatenate([high, problem.row_upper])
     complementarity = np.where(multipliers > 0, multipliers * (high - values), -multipliers * (values - low))
-    return max(np.abs(stationarity).max(), (low - values).max(), (values - high).max(), np.abs(complementarity).max())
+    return max(np.abs(stationarity).max(), (low - values).max(), (values - high).max(),
+               np.abs(complementarity).max())
 
 
 @pytest.mark.parametrize("rows", [0, ROWS])
@@ -114,7 +121,8 @@ DEFECTIVE = {
     "rows beyond the box": (Status.PRIMAL_INFEASIBLE, np.eye(2), np.ones(2), *BOX, ROW[0], np.array([5.0]),
                             np.array([6.0])),
     "crossed box": (Status.PRIMAL_INFEASIBLE, np.eye(2), np.ones(2), BOX[1], BOX[0], *ROW),
-    "crossed rows": (Status.PRIMAL_INFEASIBLE, np.eye(2), np.ones(2), *BOX, ROW[0], np.array([1.0]), np.array([0.0])),
+    "crossed rows": (Status.PRIMAL_INFEASIBLE, np.eye(2), np.ones(2), *BOX, ROW[0], np.array([1.0]),
+                     np.array([0.0])),
     "unbounded": (Status.DUAL_INFEASIBLE, np.zeros((2, 2)), np.ones(2), *FREE, *ROW),
     "not convex": (Status.DUAL_INFEASIBLE, np.diag([1.0, -1.0]), np.ones(2), *BOX, *ROW),
     "NaN in the cost": (Status.NOT_FINITE, np.eye(2), np.array([np.nan, 0.0]), *BOX, *ROW),
@@ -124,7 +132,8 @@ DEFECTIVE = {
 }
 
 
-@pytest.mark.parametrize("make", [lambda: ProxQP(2, 1), lambda: QPSolvers("proxqp", eps_abs=1e-9)], ids=["ProxQP", "qpsolvers"])
+@pytest.mark.parametrize("make", [lambda: ProxQP(2, 1), lambda: QPSolvers("proxqp", eps_abs=1e-9)],
+                         ids=["ProxQP", "qpsolvers"])
 @pytest.mark.parametrize("case", DEFECTIVE)
 def test_a_problem_without_a_solution_is_named(case, make):
     solver = make()
@@ -138,6 +147,18 @@ def test_a_problem_without_a_solution_is_named(case, make):
 def test_the_iteration_limit_is_named():
     problem = random_problem(np.random.default_rng(4), ROWS)
     assert ProxQP(D, ROWS, tolerance=1e-12, max_iterations=1).solve(problem).status is Status.ITERATION_LIMIT
+
+
+def test_no_multiplier_of_the_wrong_sign_passes_on_a_bound_at_zero():
+    """There the gap cannot see it: the multiplier times the bound is zero whatever its sign."""
+    rng, solver = np.random.default_rng(8), ProxQP(D)
+    for _ in range(300):
+        G = rng.standard_normal((3, D))
+        problem = QuadraticProgram(30 * G.T @ G + 2 * np.eye(D), 5 * rng.standard_normal(D), np.zeros(D),
+                                   np.ones(D))
+        solution = solver.solve(problem)
+        assert solution.status is Status.SOLVED
+        assert kkt_error(problem, solution) < 1e-4
 
 
 def test_infinite_bounds_are_absent():
@@ -160,7 +181,7 @@ def test_a_warm_start_needs_fewer_iterations_and_gives_the_same_solution():
     warm, cold = ProxQP(D, ROWS, tolerance=1e-9, warm=True), ProxQP(D, ROWS, tolerance=1e-9, warm=False)
     for solver in (warm, cold):
         solver.solve(problem)
-    near = QuadraticProgram(problem.H, problem.g + 1e-3, *problem._bounds()[:2], problem.C, *problem._bounds()[2:])
+    near = replace(problem, g=problem.g + 1e-3)
     ours, theirs = warm.solve(near), cold.solve(near)
     assert ours.iterations < theirs.iterations
     np.testing.assert_allclose(ours.x, theirs.x, atol=1e-8)

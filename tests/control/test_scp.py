@@ -15,7 +15,8 @@ N = 6
 
 def problem_of(bench, **changes):
     settings = {"reference": lambda time: 0.012 * np.sin(8 * time[:, None] + np.arange(6)),
-                "input_bounds": bench.BOUNDS, "output_weight": 1e8 * np.array([1, 1, 0, 0, 0, 0]), "horizon": N}
+                "input_bounds": bench.BOUNDS, "output_weight": 1e8 * np.array([1, 1, 0, 0, 0, 0]),
+                "horizon": N}
     return TrackingProblem(**settings | changes)
 
 
@@ -28,7 +29,8 @@ def solved(bench, problem, seed=0, **options):
     rng = np.random.default_rng(seed)
     horizon = horizon_for(bench.oscillators(seed), problem)
     state = 0.005 * rng.standard_normal(6)
-    plan = solve_scp(problem, horizon, state, np.full((problem.horizon, 4), 0.1), solver_of(problem), **options)
+    guess = np.full((problem.horizon, 4), 0.1)
+    plan = solve_scp(problem, horizon, state, guess, solver_of(problem), **options)
     return horizon, state, plan
 
 
@@ -80,14 +82,16 @@ def test_a_converged_plan_is_the_minimum_that_a_general_solver_finds(bench, seed
         constraints = [{"type": "ineq", "fun": lambda v: limit - C @ v, "jac": lambda v: -C},
                        {"type": "ineq", "fun": lambda v: limit + C @ v, "jac": lambda v: C}]
     bounds = list(zip(*problem.scaled_bounds(last)))
-    best = minimize(cost, np.full(4 * N, 0.2), jac=gradient, bounds=bounds, constraints=constraints, method="SLSQP",
-                    options={"maxiter": 500, "ftol": 1e-12})
+    best = minimize(cost, np.full(4 * N, 0.2), jac=gradient, bounds=bounds, constraints=constraints,
+                    method="SLSQP", options={"maxiter": 500, "ftol": 1e-12})
     assert best.success
     assert best.fun == pytest.approx(1.0, abs=1e-7)
 
 
 def test_a_converged_plan_satisfies_the_conditions_of_a_minimum(bench):
-    """On a box: zero gradient inside, pointing outwards at the bounds; the projected gradient step stands still."""
+    """On a box: zero gradient inside, pointing outwards at the bounds; the projected gradient step stands
+    still.
+    """
     problem = problem_of(bench)
     horizon, state, plan = solved(bench, problem, 3, tolerance=1e-14, max_iterations=50)
     v = (plan.inputs / problem.input_scale).ravel()
