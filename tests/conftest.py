@@ -6,6 +6,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from ssmr_torch.data.windows import SegmentDataset
+from ssmr_torch.fitting.exact import ExactSolve
+
 MEASUREMENTS = Path(os.environ.get("SSMR_TORCH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 
 
@@ -29,3 +32,21 @@ def measurements():
         return path
 
     return locate
+
+
+@pytest.fixture
+def solve_stages():
+    """Run the stages of a closed-form procedure over trajectories, without a trainer."""
+
+    def solve(procedure, trajectories, *, stages=None, ridge=0.0, rows=1024, transient=0.0):
+        for stage in stages or procedure.stages:
+            solver = ExactSolve(procedure.model.parameters(), ridge)
+            for segment in SegmentDataset(trajectories, before=procedure.before, after=procedure.after, rows=rows,
+                                          transient=transient):
+                for name, found in procedure.regressions(segment, stage).items():
+                    solver.accumulate(name, found.features, found.targets, (segment.trajectory + segment.index) % 5)
+            solver.step()
+            procedure.assign(stage, solver.solutions)
+        return procedure.model
+
+    return solve

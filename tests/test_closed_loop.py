@@ -13,9 +13,7 @@ from ssmr_torch.tasks.references import Task
 
 
 def integrator(gain=1.0):
-    """dz/dt = gain u on the output itself, seen through a window with one delay of which the newest sample
-    counts.
-    """
+    """dz/dt = gain u on the output itself; of a window with one delay the newest sample counts."""
     return PolynomialTables(
         chart=np.hstack([np.zeros((2, 2)), np.eye(2)]), parametrization=np.vstack([np.eye(2)] * 2),
         drift=np.zeros((2, 2)), control=gain * np.eye(2), state_scale=np.full(2, 0.1), chart_degree=1,

@@ -1,8 +1,7 @@
 """Time of one control step: `python experiments/benchmarks/control_step.py` (set OMP_NUM_THREADS=1).
 
 A six-dimensional cubic model (three coupled oscillators of about 4 Hz, 5 % damping, four pulling inputs)
-steers a plant with wrong parameters along the fast figure eight, with measurement noise. Prints CPU time per
-control step.
+steers a plant with wrong parameters along the fast figure eight, with measurement noise.
 """
 
 from __future__ import annotations
@@ -28,8 +27,7 @@ BOUNDS = np.array([[0.0] * 4, [0.6] * 4])
 def oscillators(seed: int = 0, degree: int = 3, control_degree: int = 1) -> PolynomialTables:
     """q̈_i + 2 ζ ω_i q̇_i + ω_i² q_i = polynomial(q, q̇) + input, in z = (q, q̇ / ω), observed in full.
 
-    Opposed inputs pull along ±q_0 and ±q_1 (24 mm/N at rest); seed draws frequencies, couplings and
-    nonlinearity.
+    Opposed inputs pull along ±q_0 and ±q_1 (24 mm/N at rest); seed draws the rest.
     """
     rng = np.random.default_rng(seed)
     omega = 2 * np.pi * 4.0 * (1.0 + 0.1 * rng.uniform(-1, 1, 3))
@@ -111,7 +109,8 @@ def main() -> None:
     """One line per horizon."""
     print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, "
           f"OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'unset')}, "
-          f"Python {platform.python_version()}, NumPy {np.__version__}, numba {numba.__version__}, ProxSuite {proxsuite.__version__}")
+          f"Python {platform.python_version()}, NumPy {np.__version__}, numba {numba.__version__}, "
+          f"ProxSuite {proxsuite.__version__}")
     print(f"{'N':>3} {'steps':>6} {'CPU median':>11} {'CPU p99':>8} {'wall median':>12} {'wall p99':>9} "
           f"{'failures':>9} {'saturated':>10} {'RMSE':>8}")
     for horizon in (5, 10, 20):

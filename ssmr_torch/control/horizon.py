@@ -47,8 +47,8 @@ def horizon_for(model, problem: TrackingProblem) -> Horizon:
     Raises ValueError when the model's inputs or outputs are not those of the problem.
     """
     if (model.input_dim, model.output_dim) != (problem.input_dim, problem.output_dim):
-        raise ValueError(f"the model has {model.input_dim} inputs and {model.output_dim} outputs; the problem "
-                         f"bounds {problem.input_dim} inputs and weights {problem.output_dim} outputs")
+        raise ValueError(f"the model has {model.input_dim} inputs and {model.output_dim} outputs; "
+                         f"the problem has {problem.input_dim} and {problem.output_dim}")
     model = model.at_timestep(problem.period)
     polynomial = all(isinstance(getattr(model, name, None), np.ndarray) for name in TABLES)
     return (PolynomialHorizon if polynomial else LinearizedHorizon)(model, problem)

@@ -137,7 +137,8 @@ class TrackingProblem:
         reference = np.asarray(self.reference(times), dtype=np.float64)
         if reference.shape != self.stage_weight.shape:
             raise ValueError(f"the reference has shape {reference.shape}; "
-                             f"expected {self.stage_weight.shape}, one row per time and one column per output")
+                             f"expected {self.stage_weight.shape}, "
+                             "one row per time and one column per output")
         return reference
 
     def cost(self, outputs: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> float:

@@ -46,7 +46,9 @@ class SSMRLeastSquares(nn.Module):
     control: "frozen": B and B_r with R kept, from the controlled runs (Eq. 6). "joint": R, B and B_r in one
         regression over decays and controlled runs, which a few decays do not determine alone.
 
-    parametrization_fit: "graph" keeps the linear block V and regresses W; "full" regresses all of w.
+    parametrization_fit: "full" regresses all of w; "tangent" keeps its linear block V (Eq. 5), which costs all orders
+        beyond the second, for the SVD's directions are tangent to the manifold only as the amplitude vanishes.
+        What is regressed is the window's rest beyond V z; without reparametrization v(w(z)) = z exactly.
     input_alignment: "held" pairs each difference with the held inputs it has felt; "sample" with the input at its
         sample, as the authors do.
     tangent_data: "decays", or "all" where no decays were recorded.
@@ -54,11 +56,11 @@ class SSMRLeastSquares(nn.Module):
     """
 
     def __init__(self, model: SSMR, *, derivative: Stencil | None = None, calibration: str = "joint",
-                 parametrization_fit: str = "graph", input_alignment: str = "held",
+                 parametrization_fit: str = "full", input_alignment: str = "held",
                  detection_delays: int | None = None, tangent_data: str = "decays"):
         super().__init__()
         for name, value, options in (("calibration", calibration, ("joint", "frozen")),
-                                     ("parametrization_fit", parametrization_fit, ("graph", "full")),
+                                     ("parametrization_fit", parametrization_fit, ("full", "tangent")),
                                      ("input_alignment", input_alignment, ("held", "sample")),
                                      ("tangent_data", tangent_data, ("decays", "all"))):
             if value not in options:
@@ -116,10 +118,9 @@ class SSMRLeastSquares(nn.Module):
             self._set_chart(orthonormal * torch.sign(triangle.diagonal()))
             self.detection_chart.copy_(model.chart[:, :model.window_dim] @ linear @ self.detection_chart)
         elif stage == "manifold":
-            if self.parametrization_fit == "full":
-                model.parametrization.copy_(solutions["parametrization"].coefficients)
-            elif model.parametrization_degree > 1:
-                model.parametrization[:, n:] = solutions["parametrization"].coefficients
+            if "parametrization" in solutions:
+                coefficients = solutions["parametrization"].coefficients
+                model.parametrization[:, -coefficients.shape[1]:] += coefficients
             if model.chart_degree > 1:
                 model.chart[:, model.window_dim:] = solutions["chart"].coefficients
             if "drift" in solutions:
@@ -153,10 +154,9 @@ class SSMRLeastSquares(nn.Module):
         features = self.nonlinear_features(z)
         linear = model.chart[:, :model.window_dim]
         found = {}
-        if self.parametrization_fit == "full":
-            found["parametrization"] = Regression(features, window)
-        elif model.parametrization_degree > 1:
-            found["parametrization"] = Regression(features[:, n:], window - z @ linear)
+        first = n if self.parametrization_fit == "tangent" else 0
+        if (model.window_dim > n or self.reparametrized) and features.shape[1] > first:
+            found["parametrization"] = Regression(features[:, first:], window - z @ linear)
         if model.chart_degree > 1:
             found["chart"] = Regression(model.chart_features(window)[:, model.window_dim:], z - window @ linear.T)
         return found

@@ -40,9 +40,7 @@ class Task:
         return reference
 
     def columns(self, output_names: Sequence[str] | None = None) -> tuple[int, ...]:
-        """Indices of the tracked outputs. Raises ValueError for a name or an index that the robot does not
-        have.
-        """
+        """Indices of the tracked outputs. Raises ValueError for one that the robot does not have."""
         columns = []
         for output in self.tracked:
             if isinstance(output, str):
@@ -57,11 +55,9 @@ class Task:
 
 def figure_eight(amplitude: float = 0.015, angular_speed: float = 4.0, laps: float = 6.0, ramp: float = 1.0,
                  tracked: Sequence[int | str] = (0, 1), name: str = "figure eight") -> Task:
-    """(−a sin θ, a sin 2θ), 9.4294 a long per lap, from rest at the origin; θ speeds up and slows down in
-    `ramp` s.
+    """(−a sin θ, a sin 2θ), 9.4294 a long per lap, from and to rest; θ is that of `ramped_phase`.
 
-    amplitude a in m; angular_speed in rad/s (the paper's slow and fast ones are 0.2 and 4); laps may be a
-    fraction.
+    amplitude a in m; angular_speed in rad/s (the paper's are 0.2 and 4); ramp in s; laps may be a fraction.
     """
     phase, duration = ramped_phase(2 * np.pi * laps, angular_speed, ramp)
 
@@ -74,9 +70,7 @@ def figure_eight(amplitude: float = 0.015, angular_speed: float = 4.0, laps: flo
 
 def circle(amplitude: float = 0.010, angular_speed: float = 17.0, laps: float = 20.0, ramp: float = 1.0,
            tracked: Sequence[int | str] = (1, 2), name: str = "circle") -> Task:
-    """(a sin θ, a − a cos θ): a circle through the rest position, begun and ended at rest; arguments as
-    above.
-    """
+    """(a sin θ, a − a cos θ), a circle through the rest position, from and to rest; arguments as above."""
     phase, duration = ramped_phase(2 * np.pi * laps, angular_speed, ramp)
 
     def path(time):
@@ -87,11 +81,9 @@ def circle(amplitude: float = 0.010, angular_speed: float = 17.0, laps: float = 
 
 
 def ramped_phase(total: float, speed: float, ramp: float) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
-    """A phase θ(t) from 0 to `total`, three times continuously differentiable, and the time in s that it
-    takes.
+    """A phase θ(t) from 0 to `total`, three times continuously differentiable, and its duration in s.
 
-    dθ/dt rises to `speed` over `ramp` s along 6 s⁵ − 15 s⁴ + 10 s³, s = t / ramp, stays, and falls the same
-    way.
+    dθ/dt rises to `speed` over `ramp` s along 6 s⁵ − 15 s⁴ + 10 s³, s = t / ramp, stays, and falls alike.
     Raises ValueError when the two ramps alone go further than `total`.
     """
     if not (total > 0 and speed > 0 and ramp >= 0):

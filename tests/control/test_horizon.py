@@ -96,7 +96,7 @@ def test_a_diverging_rollout_is_not_hidden(bench):
 
 def test_a_model_of_other_sizes_is_refused(bench):
     problem = problem_of(bench, output_weight=np.ones(3), terminal_weight=0.0)
-    with pytest.raises(ValueError, match="6 outputs"):
+    with pytest.raises(ValueError, match="6 outputs; the problem has 4 and 3"):
         horizon_for(bench.oscillators(), problem)
 
 

@@ -46,9 +46,7 @@ def dual_by_nnls(problem):
 
 
 def kkt_error(problem, solution):
-    """Largest violation of stationarity, feasibility, sign and complementarity, computed from the
-    definitions.
-    """
+    """Largest violation of stationarity, feasibility, sign and complementarity."""
     x, w, z = solution.x, solution.box_multipliers, solution.row_multipliers
     values, low, high, multipliers = x, problem.lower, problem.upper, w
     stationarity = problem.H @ x + problem.g + w

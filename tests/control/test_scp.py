@@ -89,9 +89,7 @@ def test_a_converged_plan_is_the_minimum_that_a_general_solver_finds(bench, seed
 
 
 def test_a_converged_plan_satisfies_the_conditions_of_a_minimum(bench):
-    """On a box: zero gradient inside, pointing outwards at the bounds; the projected gradient step stands
-    still.
-    """
+    """On a box: the projected gradient step stands still."""
     problem = problem_of(bench)
     horizon, state, plan = solved(bench, problem, 3, tolerance=1e-14, max_iterations=50)
     v = (plan.inputs / problem.input_scale).ravel()

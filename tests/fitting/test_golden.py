@@ -6,9 +6,8 @@ import scipy.io
 import torch
 
 from ssmr_torch.data.matlab import read_koopman_struct, read_ssmlearn_cells
-from ssmr_torch.data.windows import SegmentDataset, delay_windows
+from ssmr_torch.data.windows import delay_windows
 from ssmr_torch.fitting.dimension import captured_variance, dimension_by_gap, window_singular_values
-from ssmr_torch.fitting.exact import ExactSolve
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.models.monomials import Monomials
 from ssmr_torch.models.ssmr import SSMR
@@ -32,22 +31,13 @@ def decays(measurements):
         uniform(time, 1e-3 * y[:, 12:15], np.zeros((len(time), 4)), delays, "decay", timestep) for time, y in cells]
 
 
-def fit_stage(procedure, stage, runs):
-    solver = ExactSolve(procedure.model.parameters())
-    for segment in SegmentDataset(runs, before=procedure.before, after=procedure.after, rows=100):
-        for name, rows in procedure.regressions(segment, stage).items():
-            solver.accumulate(name, rows.features, rows.targets)
-    solver.step()
-    procedure.assign(stage, solver.solutions)
-
-
 @pytest.fixture
-def cubic(decays):
+def cubic(decays, solve_stages):
     runs = decays(4)
     model = SSMR(6, 4, 3, 4, parametrization_degree=3, dynamics_degree=3, control_degree=0, substeps=4)
     procedure = SSMRLeastSquares(model, calibration="frozen", parametrization_fit="full")
-    fit_stage(procedure, "tangent_space", runs)
-    fit_stage(procedure, "manifold", [runs[i] for i in TRAIN])
+    solve_stages(procedure, runs, stages=["tangent_space"])
+    solve_stages(procedure, [runs[i] for i in TRAIN], stages=["manifold"])
     return model, runs
 
 
@@ -73,12 +63,12 @@ def test_the_cubic_manifold_of_the_hardware_diamond_has_the_published_errors_and
 
 @torch.no_grad()
 @pytest.mark.parametrize(("degree", "published"), [(3, 8.5), (2, 10.5), (1, 12.7)])
-def test_held_out_hardware_decays_are_predicted_as_well_as_published(decays, degree, published):
+def test_held_out_hardware_decays_are_predicted_as_well_as_published(decays, solve_stages, degree, published):
     runs = decays(4, timestep=0.01)
     model = SSMR(6, 4, 3, 4, parametrization_degree=degree, dynamics_degree=degree, control_degree=0, substeps=2)
     procedure = SSMRLeastSquares(model, calibration="frozen", parametrization_fit="full")
-    fit_stage(procedure, "tangent_space", runs)
-    fit_stage(procedure, "manifold", [runs[i] for i in TRAIN])
+    solve_stages(procedure, runs, stages=["tangent_space"])
+    solve_stages(procedure, [runs[i] for i in TRAIN], stages=["manifold"])
     shares = []
     for i in TEST:
         window = delay_windows(torch.from_numpy(runs[i].observation.copy()), 4)
@@ -96,17 +86,17 @@ def test_six_modes_capture_the_published_variance(decays):
         assert dimension_by_gap(values) == 6
 
 
-def test_the_published_reference_model_is_reproduced_by_reparametrization(decays, measurements):
+def test_the_published_reference_model_is_reproduced_by_reparametrization(decays, solve_stages, measurements):
     runs = decays(9)
     irregular = read_koopman_struct(measurements("diamond_hardware/calibration_irregular.mat"))
     rest = np.ravel(irregular["y_eq"])[12:15]
     controlled = uniform(irregular["t"], 1e-3 * (irregular["y"][:, 12:15] - rest), irregular["u"], 1, "controlled")
     model = SSMR(6, 4, 3, 1, parametrization_degree=3, dynamics_degree=3, control_degree=0, chart_degree=3)
-    procedure = SSMRLeastSquares(model, calibration="frozen", input_alignment="sample", detection_delays=9)
-    fit_stage(procedure, "tangent_space", runs)
-    for stage, data in (("reparametrization", [runs[i] for i in TRAIN]), ("manifold", [runs[i] for i in TRAIN]),
-                        ("control", [controlled])):
-        fit_stage(procedure, stage, data)
+    procedure = SSMRLeastSquares(model, calibration="frozen", parametrization_fit="tangent",
+                                 input_alignment="sample", detection_delays=9)
+    solve_stages(procedure, runs, stages=["tangent_space"])
+    solve_stages(procedure, [runs[i] for i in TRAIN], stages=["reparametrization", "manifold"])
+    solve_stages(procedure, [controlled], stages=["control"])
     fitted, published = model.tables(), read_ssmr_model(measurements("diamond_hardware/reference_model.mat"))
     signs = np.sign((fitted.chart[:, :6] * published.chart[:, :6]).sum(1))
     flipped = np.prod(signs ** Monomials(6, 1, 3).exponents, axis=1)

@@ -7,7 +7,8 @@ from scipy.integrate import quad
 from ssmr_torch.tasks.references import Task, circle, figure_eight, ramped_phase
 
 EXAMPLES = {"slow figure eight": figure_eight(angular_speed=0.2, laps=1.0),
-            "fast figure eight": figure_eight(), "fast circle": circle(), "part of a lap": figure_eight(laps=1.7), "long ramp": circle(ramp=3.0)}
+            "fast figure eight": figure_eight(), "fast circle": circle(),
+            "part of a lap": figure_eight(laps=1.7), "long ramp": circle(ramp=3.0)}
 
 
 def speed(task, time, h=1e-5):
