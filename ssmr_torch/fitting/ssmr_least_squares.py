@@ -155,7 +155,8 @@ class SSMRLeastSquares(nn.Module):
         linear = model.chart[:, :model.window_dim]
         found = {}
         first = n if self.parametrization_fit == "tangent" else 0
-        if (model.window_dim > n or self.reparametrized) and features.shape[1] > first:
+        curved = model.window_dim > n and model.parametrization_degree > 1
+        if (curved or self.reparametrized) and features.shape[1] > first:
             found["parametrization"] = Regression(features[:, first:], window - z @ linear)
         if model.chart_degree > 1:
             found["chart"] = Regression(model.chart_features(window)[:, model.window_dim:], z - window @ linear.T)
