@@ -8,15 +8,21 @@ from ssmr_torch.provenance import provenance
 from ssmr_torch.published_models import read_ssmr_model
 
 
+def published_card(tables):
+    """What a published file does not tell: names, and inputs normalized to 0 … 1."""
+    inputs, outputs = tables.input_dim, tables.output_dim
+    return {"name": "SSMR (published)", "output_names": [f"y{i + 1}" for i in range(outputs)], "rest": [0.0] * outputs,
+            "input_names": [f"u{j + 1}" for j in range(inputs)], "input_unit": "1",
+            "input_bounds": [[0.0] * inputs, [1.0] * inputs]}
+
+
 @entry_point("export")
 def main(config, directory):
     if (config.checkpoint is None) == (config.mat is None):
         raise ValueError("give either checkpoint=FILE.ckpt or mat=FILE.mat")
     if config.mat is not None:
         tables = read_ssmr_model(config.mat, length_unit=config.length_unit, input_unit=config.input_unit)
-        card = {"name": "SSMR (published)", "output_names": ["tip_x", "tip_y", "tip_z"][:tables.output_dim], "rest": [0.0] * tables.output_dim,
-                "input_names": [f"u{j + 1}" for j in range(tables.input_dim)], "input_unit": "1",
-                "input_bounds": [[0.0] * tables.input_dim, [1.0] * tables.input_dim]}
+        card = published_card(tables)
     else:
         model, card = load_model(config.checkpoint)
         tables = model.tables()

@@ -125,10 +125,11 @@ def check_plant(loaded: Artifact, plant) -> None:
 def _validate(model: PolynomialTables, output_names, input_names, rest: np.ndarray, bounds: np.ndarray) -> None:
     p, m = model.output_dim, model.input_dim
     if len(output_names) != p or rest.shape != (p,):
-        raise ValueError(f"{len(output_names)} output names and a rest of shape {rest.shape} for a model of {p} outputs")
+        raise ValueError(f"{len(output_names)} output names and a rest of shape {rest.shape} for a model of "
+                         f"{p} outputs")
     if len(input_names) != m or bounds.shape != (2, m) or (bounds[0] >= bounds[1]).any():
-        raise ValueError(f"{len(input_names)} input names and bounds of shape {bounds.shape} for a model of {m} inputs; "
-                         "expected (2, m) with the lower below the upper")
+        raise ValueError(f"{len(input_names)} input names and bounds of shape {bounds.shape} for a model of "
+                         f"{m} inputs; expected (2, m) with the lower below the upper")
     for table in _TABLES:
         if not np.isfinite(getattr(model, table)).all():
             raise ValueError(f"the table {table} is not finite; fit the model before saving it")

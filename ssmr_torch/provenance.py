@@ -6,16 +6,16 @@ import hashlib
 import json
 import platform
 import subprocess
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 
 from ssmr_torch import __version__
 
 
 def provenance(configuration: dict | None = None) -> dict:
-    """Package version, git commit (with "+" when the tree has changes), Python, time, and the hash of a configuration."""
+    """Package version, git commit ("+" when the tree has changes), Python, time, and a configuration with its hash."""
     record = {"package": f"ssmr_torch {__version__}", "commit": _commit(), "python": platform.python_version(),
-              "time": datetime.now(timezone.utc).isoformat(timespec="seconds")}
+              "time": datetime.now(UTC).isoformat(timespec="seconds")}
     if configuration is not None:
         text = json.dumps(configuration, sort_keys=True, default=str)
         record |= {"configuration": configuration, "configuration_hash": hashlib.sha256(text.encode()).hexdigest()[:16]}

@@ -12,7 +12,7 @@ class Status(Enum):
     CLOSEST_FEASIBLE = "infeasible; the solver returned the least-violating point, which is not a solution"
     DUAL_INFEASIBLE = "the cost is unbounded below; make R positive definite"
     NOT_RUN = "the solver never ran; initialize it before solving"
-    NOT_FINITE = "the problem or its solution holds NaN or infinite numbers; check the measurement and the model's range"
+    NOT_FINITE = "the problem or its solution is not finite; check the measurement and the model's range"
     RESIDUAL_TOO_LARGE = "the solver claims success but the recomputed residuals disagree; tighten its tolerance"
     NOT_DESCENDING = "the line search found no lower cost; the linearization does not describe the model here"
     OUT_OF_RANGE = "the state lies far outside the model's training data; wait for it to return or train on wider data"

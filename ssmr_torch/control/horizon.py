@@ -216,9 +216,9 @@ def _stage(W, tables, rate, rate_z, powers, K):
             K[i, 1 + j] = 0.0
         for j in range(m):
             K[i, 1 + n + j] = G[i * m + j]
-        for l in range(n):
+        for r in range(n):
             for j in range(1, columns):
-                K[i, j] += F[i * n + l] * W[l, j]
+                K[i, j] += F[i * n + r] * W[r, j]
 
 
 @compiled
@@ -294,9 +294,9 @@ def _propagate(W, S, k, scale):
     n, m = len(W), len(scale)
     following = np.zeros_like(S)
     for i in range(n):
-        for l in range(n):
+        for r in range(n):
             for j in range(k * m):
-                following[i, j] += W[i, 1 + l] * S[l, j]
+                following[i, j] += W[i, 1 + r] * S[r, j]
         for j in range(m):
             following[i, k * m + j] = W[i, 1 + n + j] * scale[j]
     return following
@@ -306,9 +306,9 @@ def _propagate(W, S, k, scale):
 def _add_output(weight, error, C, S, Y, hessian, gradient):
     """Add ½ weight (error + Y Δv)² to the lower triangle of the hessian and to the gradient, with Y = C S."""
     Y[:] = 0.0
-    for l in range(len(C)):
+    for r in range(len(C)):
         for j in range(len(Y)):
-            Y[j] += C[l] * S[l, j]
+            Y[j] += C[r] * S[r, j]
     for i in range(len(Y)):
         gradient[i] += weight * error * Y[i]
         for j in range(i + 1):

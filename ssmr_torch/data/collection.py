@@ -14,6 +14,8 @@ from ssmr_torch.data.excitation import Excitation, RandomOnOffRamp, Release
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.trajectory import KINDS, SPLITS, Trajectory, TrajectoryDataset
 
+DEFAULT_RELEASE = RandomOnOffRamp()
+
 
 @dataclass(frozen=True)
 class ControlledRun:
@@ -86,7 +88,7 @@ def record(plant: Plant, plan: RecordingPlan, seed: int) -> Trajectory:
 
 
 def collect(plant: Plant, *, decays: int | Sequence[Release] = 40, validation_decays: int = 4,
-            test_decays: int = 4, decay_duration: float = 5.0, release: Release = RandomOnOffRamp(),
+            test_decays: int = 4, decay_duration: float = 5.0, release: Release = DEFAULT_RELEASE,
             controlled: Sequence[ControlledRun] = (), noise_std: float = 0.0, seed: int = 0,
             progress: bool = True) -> TrajectoryDataset:
     """Record decays and controlled runs, each from rest.

@@ -104,7 +104,7 @@ class _Variables:
     def cells(self, name: str) -> np.ndarray:
         """The cell array as MATLAB shows it: an object array of numeric arrays."""
         if self.file is None:
-            value, is_cell = self.content[name], getattr(self.content[name], "dtype", None) == object
+            value, is_cell = self.content[name], getattr(self.content[name], "dtype", None) == np.dtype(object)
         else:
             value = self.file[name]
             is_cell = isinstance(value, h5py.Dataset) and h5py.check_ref_dtype(value.dtype) is not None

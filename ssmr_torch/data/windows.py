@@ -63,10 +63,12 @@ class SegmentDataset(Dataset):
 
     before, after: context samples that a row needs on either side (delays and derivative stencil).
     transient: s cut from the start of every decay. Only one segment is in memory at a time.
-    Raises ValueError when a trajectory ends before its transient.
+    Raises ValueError when a trajectory ends before its transient and one window, or rows < 1.
     """
 
     def __init__(self, trajectories: Sequence, *, before: int, after: int, rows: int = 1024, transient: float = 0.0):
+        if rows < 1:
+            raise ValueError(f"rows is {rows}; a segment holds at least 1 core sample")
         self.trajectories = tuple(trajectories)
         self.plans: list[SegmentPlan] = []
         for number, trajectory in enumerate(self.trajectories):
@@ -75,10 +77,12 @@ class SegmentDataset(Dataset):
                 raise ValueError(f"trajectory {trajectory.name or number!r} has {trajectory.length} samples; "
                                  f"a transient of {first} samples and {before + after} samples of context leave none; "
                                  "shorten the transient or the delays, or drop the trajectory")
+            # even the first segment, with no context before it, holds one whole window
+            shortest = first + before + after + 1
             for index, start in enumerate(range(first, trajectory.length, rows)):
                 stop = min(start + rows, trajectory.length)
-                self.plans.append(SegmentPlan(number, index, max(start - before, first),
-                                              min(stop + after, trajectory.length), (start, stop)))
+                end = min(max(stop + after, shortest), trajectory.length)
+                self.plans.append(SegmentPlan(number, index, max(start - before, first), end, (start, stop)))
 
     def __len__(self) -> int:
         return len(self.plans)

@@ -58,7 +58,7 @@ def _diverged(model: ReducedModel, starts: list[RolloutBatch]) -> Tensor:
 
 @torch.no_grad()
 def diagnose(fit, trajectories: Sequence) -> dict:
-    """Report of a fitted SSMR: regressions, singular values, eigenvalues, diverged shares, and warnings, as plain values."""
+    """Report of a fit as plain values: regressions, singular values, eigenvalues, diverged shares, warnings."""
     model = fit.model
     report = {"regressions": getattr(fit, "solutions", {}), "diverged": training_divergence(model, trajectories),
               "trajectories": {kind: sum(t.kind == kind for t in trajectories) for kind in ("decay", "controlled")}}

@@ -52,7 +52,8 @@ class SSMRLeastSquares(nn.Module):
     input_alignment: "held" pairs each difference with the held inputs it has felt; "sample" with the input at its
         sample, as the authors do.
     tangent_data: "decays", or "all" where no decays were recorded.
-    Raises ValueError for options outside these, and where the SVD has fewer directions than state_dim.
+    Raises ValueError for options outside these, where the SVD has fewer directions than state_dim, and in `assign`
+    where the data held no run of the kind that a stage needs.
     """
 
     def __init__(self, model: SSMR, *, derivative: Stencil | None = None, calibration: str = "joint",
@@ -109,6 +110,7 @@ class SSMRLeastSquares(nn.Module):
 
     @torch.no_grad()
     def assign(self, stage: str, solutions: Mapping[str, Solution]) -> None:
+        self._check(stage, solutions)
         model, n = self.model, self.model.state_dim
         if stage == "tangent_space":
             self._assign_tangent_space(solutions["tangent_space"])
@@ -127,6 +129,16 @@ class SSMRLeastSquares(nn.Module):
                 model.drift_table.copy_(solutions["drift"].coefficients)
         else:
             self._assign_control(solutions)
+
+    def _check(self, stage: str, solutions: Mapping[str, Solution]) -> None:
+        frozen, curved_chart = self.calibration == "frozen", self.model.chart_degree > 1
+        needed = {"manifold": ["drift"] * frozen + ["chart"] * curved_chart,
+                  "control": ["control" if frozen else "dynamics"]}.get(stage, [stage])
+        missing = [name for name in needed if name not in solutions]
+        if missing:
+            kind = "controlled" if stage == "control" else "decay"
+            raise ValueError(f"the {stage} stage found no rows for {missing}: the training data hold no {kind} runs; "
+                             "record some, or use tangent_data=all, calibration=joint and chart_degree=1")
 
     def encode_detected(self, segment: Segment) -> Tensor:
         """Reduced coordinates of the segment's samples from its long windows, (L - detection_delays, n)."""

@@ -53,15 +53,17 @@ def least_squares(model: SSMR, *, ridge=0.0, folds: int = 5, derivative: Stencil
     return LeastSquaresFit(SSMRLeastSquares(model, derivative=derivative, **options), ridge, folds)
 
 
-def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel], fits: Mapping[str, Callable[..., ModelFit]],
-          module: Callable[..., TrajectoryDataModule], trainer: Callable[..., lightning.Trainer],
-          directory: str | Path, name: str = "SSMR", loggers: list | bool = False, resume: bool = False) -> Training:
+def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
+          fits: Mapping[str, Callable[..., ModelFit]], module: Callable[..., TrajectoryDataModule],
+          trainer: Callable[..., lightning.Trainer], directory: str | Path, name: str = "SSMR",
+          loggers: list | bool = False, resume: bool = False) -> Training:
     """Fit one model by each of `fits` in turn, score it, and say what the fit found.
 
-    name: of the model, for tables and figures. model: constructor that still misses input_dim, output_dim and timestep, which the data give; its state_dim is a
-    number or a rule of `choose_dimension`. Checkpoints go to directory/checkpoints/NAME, of a refinement the best by
-    validation error, of a closed form the last; the fitted model to directory/model.ckpt. resume: continue from the
-    checkpoints already there. Raises ValueError for data or options that cannot be fitted, before any work.
+    name: of the model, in tables and figures. model: constructor that still misses input_dim, output_dim and
+    timestep, which the data give; its state_dim is a number or a rule of `choose_dimension`.
+    Checkpoints go to directory/checkpoints/FIT, of a refinement the best by validation error, of a closed form the
+    last; the fitted model to directory/model.ckpt. resume: continue from the checkpoints already there.
+    Raises ValueError for data or options that cannot be fitted, before any work.
     """
     directory = Path(directory)
     prepared = module(dataset=dataset)

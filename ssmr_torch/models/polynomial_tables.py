@@ -13,7 +13,8 @@ from ssmr_torch.models.monomials import Monomials
 
 @dataclass(frozen=True, eq=False)
 class PolynomialTables:
-    """z = chart · window^{1:n_v},  window = parametrization · z^{1:n_w},  dz/dt = drift · z^{1:n_r} + control · [u, z^{1:n_u} ⊗ u].
+    """z = chart · window^{1:n_v},   window = parametrization · z^{1:n_w},
+    dz/dt = drift · z^{1:n_r} + control · [u, z^{1:n_u} ⊗ u].
 
     chart (n, ·), parametrization ((n_d + 1) p, ·), drift (n, ·), control (n, m (1 + ·)), state_scale (n,): float64, SI.
     A window is (..., n_d + 1, p), oldest sample first, `window_timestep` s apart; `timestep` is that of `step`.

@@ -59,8 +59,8 @@ class SSMR(ContinuousTimeModel):
         super().__init__(state_dim, input_dim, output_dim, delays, timestep,
                          timestep if window_timestep is None else window_timestep, substeps)
         if self.window_dim < state_dim:
-            raise ValueError(f"a window of {delays + 1} samples of {output_dim} outputs holds {self.window_dim} values, "
-                             f"fewer than the {state_dim} reduced coordinates; use at least "
+            raise ValueError(f"a window of {delays + 1} samples of {output_dim} outputs holds {self.window_dim} "
+                             f"values, fewer than the {state_dim} reduced coordinates; use at least "
                              f"{-(-state_dim // output_dim) - 1} delays or a smaller state_dim")
         degrees = {"parametrization_degree": parametrization_degree, "dynamics_degree": dynamics_degree,
                    "chart_degree": chart_degree}
@@ -150,7 +150,8 @@ class SSMR(ContinuousTimeModel):
                                      (model.drift_table, tables.drift), (model.control_table, tables.control),
                                      (model.state_scale, tables.state_scale)):
                 if parameter.shape != array.shape:
-                    raise ValueError(f"a table has shape {array.shape}; the declared degrees need {tuple(parameter.shape)}")
+                    raise ValueError(f"a table has shape {array.shape}; the declared degrees need "
+                                     f"{tuple(parameter.shape)}")
                 parameter.copy_(torch.from_numpy(array.copy()))
         return model
 

@@ -1,0 +1,152 @@
+"""Every configuration composes and instantiates, and every partial is called."""
+
+import inspect
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+from ssmr_torch.data.derivatives import Stencil
+from ssmr_torch.fitting.fit import ModelFit
+from ssmr_torch.models.polynomial_tables import PolynomialTables
+from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.plants.base import Plant
+from ssmr_torch.tasks.references import Task
+from ssmr_torch.trajectory import TrajectoryDataset
+
+CONF = Path(__file__).resolve().parents[1] / "conf"
+PRIMARY = sorted(path.stem for path in CONF.glob("*.yaml") if path.stem != "directories")
+
+
+def group(name: str) -> list[str]:
+    return sorted(path.stem for path in (CONF / name).glob("*.yaml"))
+
+
+@pytest.fixture(autouse=True)
+def configurations():
+    OmegaConf.register_new_resolver("upper", str.upper, replace=True)
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        yield
+
+
+def model(state_dim=6, **_):
+    return SSMR(state_dim, 4, 3, 1)
+
+
+@pytest.mark.parametrize("name", PRIMARY)
+def test_every_entry_point_has_a_configuration_that_composes(name):
+    config = compose(name, return_hydra_config=True)
+    assert config.hydra.run.dir and config.hydra.callbacks.sweep_table
+    assert (CONF.parent / "experiments" / f"{name}.py").is_file()
+
+
+@pytest.mark.parametrize("plant", group("plant"))
+def test_every_plant_is_one(plant):
+    assert isinstance(instantiate(compose("collect", [f"plant={plant}"]).plant), Plant)
+
+
+@pytest.mark.parametrize("excitation", group("excitation"))
+def test_every_excitation_collects(excitation):
+    config = compose("collect", [f"excitation={excitation}", "excitation.decays=1", "excitation.validation_decays=0",
+                                 "excitation.test_decays=0", "excitation.decay_duration=0.1",
+                                 "excitation.controlled=[]", "excitation.progress=false"])
+    dataset = instantiate(config.excitation)(instantiate(config.plant))
+    assert isinstance(dataset, TrajectoryDataset) and len(dataset) == 1
+
+
+@pytest.mark.parametrize("choice", group("model"))
+def test_every_model_builds_on_any_number_of_outputs_and_inputs(choice):
+    build = instantiate(compose("train", [f"model={choice}"]).model)
+    built = build(input_dim=5, output_dim=4, timestep=0.01)
+    assert built.input_dim == 5 and built.output_dim == 4 and built.timestep == 0.01
+
+
+@pytest.mark.parametrize("fit", group("fit"))
+@pytest.mark.parametrize("derivative", group("derivative"))
+def test_every_fit_takes_every_derivative(fit, derivative):
+    config = compose("train", [f"fit={fit}", f"derivative@fit.closed_form.derivative={derivative}"])
+    for build in config.fit.values():
+        assert isinstance(instantiate(build)(model()), ModelFit)
+    assert isinstance(instantiate(config.fit.closed_form.derivative), Stencil)
+
+
+def test_the_data_module_takes_its_configuration():
+    data = TrajectoryDataset([_run()], np.zeros(3), list("xyz"), list("abcd"))
+    module = instantiate(compose("train").module)(dataset=data)
+    assert module.transient == 0.1 and len(module.training) == len(module.validation) == 1
+
+
+@pytest.mark.parametrize("data", group("data"))
+def test_every_data_configuration_names_the_readers_arguments_and_no_others(data):
+    config = compose("train", [f"data={data}"]).data
+    reader = instantiate({"_target_": "hydra.utils.get_method", "path": config._target_})
+    known = inspect.signature(reader).parameters
+    assert set(config) - {"_target_", "_convert_"} <= set(known)
+
+
+@pytest.mark.parametrize("choice", [name for name in group("trainer") if name == "cpu"])
+def test_the_trainer_takes_its_configuration(choice):
+    trainer = instantiate(compose("train", [f"trainer={choice}"]).trainer)(max_epochs=3, logger=False)
+    assert trainer.max_epochs == 3
+
+
+@pytest.mark.parametrize("choice", [name for name in group("trainer") if name != "cpu"])
+def test_the_other_trainers_take_arguments_that_lightning_knows(choice):
+    import lightning
+
+    config = compose("train", [f"trainer={choice}"]).trainer
+    known = inspect.signature(lightning.Trainer).parameters
+    assert set(config) - {"_target_", "_partial_"} <= set(known)
+
+
+@pytest.mark.parametrize("choice", group("logger"))
+def test_every_logger_takes_arguments_that_it_knows(choice):
+    for name, logger in compose("train", [f"logger={choice}"]).logger.items():
+        target = instantiate({"_target_": "hydra.utils.get_class", "path": logger._target_})
+        known = inspect.signature(target.__init__).parameters
+        assert set(logger) - {"_target_"} <= set(known), name
+
+
+@pytest.mark.parametrize("experiment", group("experiment"))
+def test_every_experiment_composes_and_its_model_and_fit_build(experiment):
+    config = compose("train", [f"+experiment={experiment}"])
+    for build in config.fit.values():
+        instantiate(build)(model())
+    assert instantiate(config.model)(input_dim=4, output_dim=9, timestep=0.01).input_dim == 4
+
+
+@pytest.mark.parametrize("controller", group("controller"))
+@pytest.mark.parametrize("task", group("task"))
+def test_every_controller_takes_every_task(controller, task):
+    config = compose("control", [f"controller={controller}", f"task={task}"])
+    plant, chosen = instantiate(config.plant), instantiate(config.task)
+    assert isinstance(chosen, Task)
+    build = instantiate(config.controller)
+    assert isinstance(build, partial)
+    control = build(_tables(len(plant.output_names)), chosen, plant.input_bounds, timestep=plant.timestep,
+                    output_names=plant.output_names)
+    command = control(0.0, np.zeros(len(plant.output_names)))
+    assert (command.input >= plant.input_bounds[0]).all() and (command.input <= plant.input_bounds[1]).all()
+
+
+def _tables(outputs: int) -> PolynomialTables:
+    built = SSMR(6, 4, outputs, 1)
+    with torch.no_grad():
+        frame = torch.eye(built.window_dim, 6, dtype=torch.float64)
+        built.chart.copy_(frame.T)
+        built.parametrization.copy_(frame)
+        built.drift_table.copy_(-torch.eye(6))
+        built.state_scale.fill_(0.05)
+    return built.tables()
+
+
+def _run():
+    from ssmr_torch.trajectory import Trajectory
+
+    rng = np.random.default_rng(0)
+    return Trajectory(0.01 * np.arange(500), 1e-2 * rng.normal(size=(500, 3)), rng.uniform(size=(500, 4)))

@@ -1,0 +1,119 @@
+"""The line end to end, through its entry points, each in a process of its own."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ssmr_torch import artifact
+from ssmr_torch.closed_loop import ClosedLoopRecord
+
+EXPERIMENTS = Path(__file__).resolve().parents[1] / "experiments"
+SMALL = ["excitation.decays.count=20", "excitation.validation_decays=1", "excitation.test_decays=1",
+         "excitation.decay_duration=2.0", "excitation.progress=false"]
+QUIET = ["logger=csv", "trainer.enable_progress_bar=false"]
+
+
+def start(script: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess:
+    return subprocess.run([sys.executable, str(EXPERIMENTS / f"{script}.py"), *map(str, arguments)], cwd=cwd,
+                          capture_output=True, text=True)
+
+
+def run(script: str, *arguments: str, cwd: Path) -> str:
+    done = start(script, *arguments, cwd=cwd)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def line(tmp_path_factory):
+    """collect → train (a sweep) → export → evaluate → control (a sweep) → report, in miniature."""
+    at = tmp_path_factory.mktemp("line")
+    run("collect", *SMALL, "hydra.run.dir=collect", cwd=at)
+    run("train", "-m", "model=ssmr,sssr", "data.path=collect/trajectories.h5", *QUIET, "hydra.sweep.dir=train", cwd=at)
+    run("export", "-m", "checkpoint=train/0/model.ckpt,train/1/model.ckpt", "hydra.sweep.dir=export", cwd=at)
+    both = ["export/0/artifact", "export/1/artifact"]
+    run("evaluate", f"artifact=[{','.join(both)}]", "data.path=collect/trajectories.h5", "kind=controlled",
+        "starts=200", "outputs=[tip_x,tip_y,tip_z]", "hydra.run.dir=evaluate", cwd=at)
+    run("control", "-m", f"artifact={','.join(both)}", "task.laps=2", "progress=false", "hydra.sweep.dir=control",
+        cwd=at)
+    run("report", "directory=.", "hydra.run.dir=report", cwd=at)
+    return at
+
+
+@pytest.mark.slow
+def test_the_line_learns_a_model_that_beats_its_linear_counterpart_and_the_baselines(line):
+    scores = json.loads((line / "evaluate" / "scores.json").read_text())["scores"]
+    mean = {name: [part["mean"] for part in score["horizons"][:3]] for name, score in scores.items()}
+    assert set(mean) == {"SSMR", "SSSR", "persistence", "constant velocity"}
+    for horizon in range(3):
+        assert mean["SSMR"][horizon] < 0.5 * mean["SSSR"][horizon]
+        assert mean["SSSR"][horizon] < 0.6 * mean["constant velocity"][horizon]
+    assert all(part["diverged"] == 0 for part in scores["SSMR"]["horizons"])
+
+
+@pytest.mark.slow
+def test_the_controller_tracks_the_figure_eight_on_the_plant_with_the_exported_artifact(line):
+    for job, name in ((0, "SSMR"), (1, "SSSR")):
+        record = ClosedLoopRecord.load(line / "control" / str(job) / "record.h5")
+        metrics = json.loads((line / "control" / str(job) / "metrics.json").read_text())
+        assert record.provenance["model"] == name
+        assert record.provenance["artifact"] == artifact.load(line / "export" / str(job) / "artifact").card["sha256"]
+        assert metrics["rmse"] < 0.8e-3 and metrics["fallbacks"] == 0
+
+
+@pytest.mark.slow
+def test_a_sweep_ends_with_a_table_of_its_jobs_best_first(line):
+    with open(line / "train" / "sweep.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["job"] for row in rows] == ["0", "1"]
+    assert float(rows[0]["validation/rmse"]) < float(rows[1]["validation/rmse"])
+    assert "model=ssmr" in rows[0]["overrides"]
+
+
+@pytest.mark.slow
+def test_the_report_holds_tables_and_figures_and_nothing_from_outside(line):
+    page = (line / "report.html").read_text()
+    assert page.count("<svg") >= 9 and page.count("<table") >= 4
+    assert "src=" not in page and "@import" not in page
+    for word in ("SSMR", "SSSR", "persistence", "constant velocity", "ISE"):
+        assert word in page
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_scores_to_the_last_digit(line):
+    run("train", "model=ssmr", "data.path=collect/trajectories.h5", *QUIET, "hydra.run.dir=again", cwd=line)
+    first, again = (json.loads((line / at / "result.json").read_text())["metrics"] for at in ("train/0", "again"))
+    assert first == again
+
+
+@pytest.mark.slow
+def test_training_resumes_from_its_checkpoint_and_can_be_refined_by_rollouts(line):
+    before = json.loads((line / "again" / "result.json").read_text())["metrics"]
+    run("train", "model=ssmr", "data.path=collect/trajectories.h5", *QUIET, "fit=rollout",
+        "fit.refinement.epochs=2", "module.stride=40", "resume=true", "hydra.run.dir=again", cwd=line)
+    after = json.loads((line / "again" / "result.json").read_text())["metrics"]
+    assert after["validation/rmse"] <= 1.2 * before["validation/rmse"]
+    assert (line / "again" / "checkpoints" / "refinement" / "best.ckpt").is_file()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("script", "arguments", "message"), [
+    ("train", ["data.path=nowhere.h5"], "no trajectory file at"),
+    ("train", ["data.path=collect/trajectories.h5", "outputs=[nose]"], r"no outputs ['nose']; the dataset has"),
+    ("train", ["data.path=collect/trajectories.h5", "model.state_dim=13"], "fewer than the 13 reduced coordinates"),
+    ("train", ["data.path=collect/trajectories.h5", "model.state_dim=many"], "expected an integer"),
+    ("train", ["data.path=collect/trajectories.h5", "fit.closed_form.calibration=both"], "expected one of"),
+    ("evaluate", ["artifact=collect", "data.path=collect/trajectories.h5"], "no artifact at collect"),
+    ("export", [], "give either checkpoint=FILE.ckpt or mat=FILE.mat"),
+    ("export", ["checkpoint=collect/trajectories.h5"], "is not a checkpoint"),
+    ("control", ["artifact=export/0/artifact", "task.tracked=[nose]"], "tracks 'nose'"),
+    ("report", ["directory=collect"], "nothing to report below"),
+])
+def test_bad_input_ends_in_one_clear_message_before_any_work(line, script, arguments, message):
+    done = start(script, *arguments, f"hydra.run.dir=refused-{script}", *(QUIET if script == "train" else []), cwd=line)
+    assert done.returncode != 0
+    assert message in done.stderr and "Traceback" not in done.stderr, done.stderr
