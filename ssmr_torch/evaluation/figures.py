@@ -204,6 +204,8 @@ def tracking(time: np.ndarray, reference: np.ndarray, paths: Mapping[str, np.nda
     colour, style = METHODS["reference"]
     plane.plot(*MM * np.asarray(reference).T, style, color=colour, linewidth=1.0, zorder=3,
                label="reference")
+    largest = MM * max(np.linalg.norm(path - reference, axis=1).max() for path in paths.values())
+    error.set_ylim(bottom=max(1e-3 * largest, 1e-9))
     plane.set(xlabel=f"{axis_names[0]} (mm)", ylabel=f"{axis_names[1]} (mm)")
     plane.set_aspect("equal", adjustable="datalim")
     error.set(xlabel="time (s)", ylabel="tracking error (mm)", xlim=(time[0], time[-1]))

@@ -79,8 +79,8 @@ def closed_loop_section(records: Sequence[ClosedLoopRecord]) -> Section:
     parts = [f"Task: {task}, {first.time[-1]:.1f} s, on the plant {plant}, measured with white noise of "
              f"{1e3 * noise:.3g} mm. The controller runs the exported artifact and plans every {1e3 * period:g} ms. "
              "Errors count from 1 s on; ISE is the sum of squared errors over the samples.",
-             Table(["model", "ISE (mm²)", "RMSE (mm)", "max error (mm)", "solve time, median (ms)",
-                    "solve time, 99 % (ms)", "fallbacks"], rows, "Tracking in closed loop.")]
+             Table(["model", "ISE (mm²)", "RMSE (mm)", "max (mm)", "solve (ms)", "99 % (ms)", "fallbacks"], rows,
+                   "Tracking in closed loop: errors, median and 99 % solve time, fallbacks.")]
     if planar:
         names = tuple(first.output_names[i] for i in first.tracked)
         paths = {name: record.observation[:, list(record.tracked)] for name, record in by_model.items()}
@@ -124,17 +124,17 @@ def training_section(path: Path) -> Section:
     stored = json.loads(path.read_text())
     name = stored["provenance"]["name"]
     fits = {key: value for key, value in stored.items() if key not in ("scores", "provenance")}
-    rows = [[f"{fit}: {regression}", values["rows"], values["features"], values["condition"], values["ridge"],
+    rows = [[f"{fit}: {regression}".replace("_", " "), values["rows"], values["features"], values["condition"], values["ridge"],
              100 * values["relative_residual"]]
             for fit, report in fits.items() for regression, values in report["regressions"].items()]
-    scores = "; ".join(f"{key} {1e3 * value:.4g} mm" for key, value in stored["scores"].items()
-                       if key.endswith("rmse") and value is not None)
+    scores = "; ".join(f"{key.removesuffix('/rmse')} {1e3 * value:.4g} mm" for key, value in stored["scores"].items()
+                       if key.endswith("/rmse") and value is not None)
     notes = [f"Look here: {warning}" for report in fits.values() for warning in report["warnings"]]
     parts = [f"Open-loop error over the validation horizon: {scores or 'none scored'}.", *notes]
     if rows:
         parts.append(Table(["regression", "rows", "features", "condition", "ridge", "residual (%)"], rows,
                            "What determined the model."))
-    for file, caption, unit in (("singular_values", "Singular values of the decays' windows.", "m"),
+    for file, caption, unit in (("singular_values", "Singular values of the decays' windows, relative to the first.", "1"),
                                 ("eigenvalues", "Eigenvalues of the reduced dynamics at rest.", "1/s")):
         if path.with_name(f"{file}.svg").is_file():
             decays = next(iter(fits.values()))["trajectories"]["decay"]

@@ -125,6 +125,8 @@ class LeastSquaresFit(ModelFit):
 
     def _record(self, solutions: dict) -> None:
         for name, solution in solutions.items():
+            if len(solution.coefficients) == 0:
+                continue
             self.solutions[name] = {
                 "rows": solution.rows, "features": solution.coefficients.shape[1], "rank": solution.rank,
                 "condition": solution.condition, "ridge": solution.ridge, "relative_residual": solution.residual,
