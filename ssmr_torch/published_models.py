@@ -27,8 +27,10 @@ def read_ssmr_model(path: str | Path, *, length_unit: float = 1e-3, input_unit: 
     try:
         stored = scipy.io.loadmat(path, simplify_cells=True)["py_data"]
         model, params = stored["model"], stored["params"]
-        w, v, r, B = (np.atleast_2d(np.asarray(model[key], dtype=np.float64))
-                      for key in ("w_coeff", "v_coeff", "r_coeff", "B"))
+        w, v, r, B = (np.asarray(model[key], dtype=np.float64) for key in ("w_coeff", "v_coeff", "r_coeff", "B"))
+        v, r = np.atleast_2d(v), np.atleast_2d(r)
+        # MATLAB arrays of one column arrive as vectors
+        w, B = (table[:, None] if table.ndim == 1 else table for table in (w, B))
         delays, outputs = int(params["delays"]), int(params["output_dim"])
         timestep = float(model["Ts"])
     except (KeyError, ValueError, TypeError, IndexError, NotImplementedError) as error:

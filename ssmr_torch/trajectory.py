@@ -17,6 +17,7 @@ import numpy as np
 KINDS = ("decay", "controlled", "static")
 SPLITS = ("train", "validation", "test")
 JITTER_TOLERANCE = 1e-3
+FORMAT = "ssmr_torch trajectories 1"
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +39,7 @@ class Trajectory:
 
     def __post_init__(self):
         for attribute in ("time", "observation", "input"):
-            array = np.array(getattr(self, attribute), dtype=np.float64)
-            array.setflags(write=False)
-            object.__setattr__(self, attribute, array)
+            object.__setattr__(self, attribute, _own(getattr(self, attribute)))
         _validate(self)
 
     @property
@@ -86,7 +85,8 @@ class StoredTrajectory:
 
     def slice(self, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
         """Observations and inputs of the samples start ≤ k < stop."""
-        rows = slice(self.first + start, self.first + min(stop, self.length))
+        start, stop, _ = slice(start, stop).indices(self.length)
+        rows = slice(self.first + start, self.first + max(start, stop))
         with h5py.File(self.path, "r") as file:
             group = file[self.key]
             return self._observed(group["observation"][rows]), group["input"][rows]
@@ -101,7 +101,9 @@ class StoredTrajectory:
 
     def part(self, start: int, stop: int | None = None, **changes) -> StoredTrajectory:
         """The samples start ≤ k < stop as a trajectory of their own, with other fields changed by name."""
-        stop = self.length if stop is None else min(stop, self.length)
+        start, stop, _ = slice(start, stop).indices(self.length)
+        if stop - start < 2:
+            raise ValueError(f"{self.name or 'trajectory'}: {max(stop - start, 0)} samples; at least 2 are needed")
         return replace(self, first=self.first + start, length=stop - start, **changes)
 
     def read(self) -> Trajectory:
@@ -112,7 +114,7 @@ class StoredTrajectory:
                               self.kind, self.split, self.name)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TrajectoryDataset(Sequence):
     """Trajectories of one robot, with what is needed to read them.
 
@@ -132,7 +134,7 @@ class TrajectoryDataset(Sequence):
 
     def __post_init__(self):
         object.__setattr__(self, "trajectories", tuple(self.trajectories))
-        object.__setattr__(self, "rest", np.asarray(self.rest, dtype=np.float64))
+        object.__setattr__(self, "rest", _own(self.rest))
         object.__setattr__(self, "output_names", tuple(self.output_names))
         object.__setattr__(self, "input_names", tuple(self.input_names))
         if not self.trajectories:
@@ -191,9 +193,9 @@ class TrajectoryDataset(Sequence):
         """Write all trajectories to one HDF5 file; the file appears only when it is complete."""
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        aside = path.with_name(path.name + ".part")
+        aside, card = path.with_name(path.name + ".part"), json.dumps(self._card())
         with h5py.File(aside, "w") as file:
-            file.attrs["card"] = json.dumps(self._card())
+            file.attrs["card"] = card
             file["rest"] = self.rest
             for index, stored in enumerate(self.trajectories):
                 trajectory = stored.read()
@@ -206,21 +208,28 @@ class TrajectoryDataset(Sequence):
         return path
 
     def _card(self) -> dict:
-        return {"format": "ssmr_torch trajectories 1", "length_unit": "m", "time_unit": "s",
+        return {"format": FORMAT, "length_unit": "m", "time_unit": "s",
                 "input_unit": self.input_unit, "output_names": self.output_names,
                 "input_names": self.input_names, "provenance": self.provenance}
 
     @classmethod
     def load(cls, path: str | Path) -> TrajectoryDataset:
-        """Open a file written by `save`; samples stay on disk until they are asked for."""
+        """Open a file written by `save`; samples stay on disk until they are asked for.
+
+        Raises FileNotFoundError, ValueError for a file of another kind, OSError for a truncated one.
+        """
         path = Path(path).resolve()
         if not path.is_file():
             raise FileNotFoundError(f"no trajectory file at {path}; make one with experiments/collect.py")
+        if not h5py.is_hdf5(path):
+            raise ValueError(f"{path} is not an HDF5 file; expected one written by experiments/collect.py")
         with h5py.File(path, "r") as file:
             if "card" not in file.attrs or "trajectories" not in file:
                 raise ValueError(f"{path} is not a trajectory file of this package (no card); "
                                  "read foreign HDF5 with a card: data=custom data.card=FILE.yaml")
             card = json.loads(file.attrs["card"])
+            if card.get("format") != FORMAT:
+                raise ValueError(f"{path} is of format {card.get('format')!r}; this version reads {FORMAT!r}")
             stored = tuple(
                 StoredTrajectory(path, f"trajectories/{key}", group.attrs["kind"], group.attrs["split"],
                                  group.attrs["name"], len(group["time"]), float(group.attrs["timestep"]))
@@ -228,6 +237,13 @@ class TrajectoryDataset(Sequence):
             rest = file["rest"][:]
         return cls(stored, rest, card["output_names"], card["input_names"], card["input_unit"],
                    card["provenance"])
+
+
+def _own(array) -> np.ndarray:
+    """A read-only copy: what the caller does with the original later changes nothing here."""
+    copy = np.array(array, dtype=np.float64)
+    copy.setflags(write=False)
+    return copy
 
 
 def _validate(trajectory: Trajectory) -> None:

@@ -114,7 +114,7 @@ def test_every_logger_takes_arguments_that_it_knows(choice):
 
 @pytest.mark.parametrize("experiment", group("experiment"))
 def test_every_experiment_composes_and_its_model_and_fit_build(experiment):
-    config = compose("train", [f"+experiment={experiment}"])
+    config = compose("train", [f"experiment={experiment}"])
     for build in config.fit.values():
         instantiate(build)(model())
     assert instantiate(config.model)(input_dim=4, output_dim=9, timestep=0.01).input_dim == 4

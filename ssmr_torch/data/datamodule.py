@@ -5,7 +5,7 @@ from __future__ import annotations
 import lightning
 from torch.utils.data import DataLoader, Subset
 
-from ssmr_torch.data.windows import RolloutDataset, SegmentDataset, stack_rollouts
+from ssmr_torch.data.windows import RolloutDataset, SegmentDataset, SegmentShare, stack_rollouts
 from ssmr_torch.trajectory import TrajectoryDataset
 
 
@@ -42,8 +42,8 @@ class TrajectoryDataModule(lightning.LightningDataModule):
 
     def train_dataloader(self) -> DataLoader:
         if self.procedure is None:
-            data = self._rollouts(self.training, self.rollout_horizon, None, self.transient)
-            return DataLoader(self._share(data), self.batch_size, shuffle=True, collate_fn=stack_rollouts,
+            data = self._share(self._rollouts(self.training, self.rollout_horizon, None, self.transient))
+            return DataLoader(data, self.batch_size, shuffle=True, collate_fn=stack_rollouts,
                               drop_last=len(data) > self.batch_size, num_workers=self.num_workers)
         data = SegmentDataset(self.training, before=self.procedure.before, after=self.procedure.after,
                               rows=self.rows, transient=self.transient)
@@ -70,14 +70,18 @@ class TrajectoryDataModule(lightning.LightningDataModule):
                               stride=1 if starts else self.stride, seed=self.seed, transient=transient)
 
     def _share(self, data):
-        """This process's part of the data: each item in exactly one process, none padded or repeated."""
+        """This process's part: each segment in exactly one process; of rollouts, equally many in each."""
         trainer = self.trainer
         if trainer is None or trainer.world_size == 1:
             return data
         if len(data) < trainer.world_size:
             raise ValueError(f"{len(data)} items for {trainer.world_size} processes; use fewer processes or "
                              "smaller `rows`")
-        return Subset(data, range(trainer.global_rank, len(data), trainer.world_size))
+        if isinstance(data, SegmentDataset):
+            return SegmentShare(data, trainer.global_rank, trainer.world_size)
+        # processes step together: one with a batch more than another would wait for it for ever
+        even = len(data) - len(data) % trainer.world_size
+        return Subset(data, range(trainer.global_rank, even, trainer.world_size))
 
 
 def _hold_out(dataset: TrajectoryDataset, share: float) -> tuple[tuple, tuple]:

@@ -24,7 +24,7 @@ class Stencil:
         if len(weights) % 2 != 1 or len(weights) < 3:
             raise ValueError(f"{self.name}: {len(weights)} weights; a centred stencil has an odd number, at least 3")
         offsets = np.arange(len(weights)) - len(weights) // 2
-        if abs(weights.sum()) > 1e-9 or abs(weights @ offsets - 1) > 1e-9:
+        if not (abs(weights.sum()) <= 1e-9 and abs(weights @ offsets - 1) <= 1e-9):
             raise ValueError(f"{self.name}: weights sum to {weights.sum():.3g} and differentiate a unit ramp to "
                              f"{weights @ offsets:.12g}; expected 0 and 1")
         object.__setattr__(self, "weights", tuple(weights.tolist()))

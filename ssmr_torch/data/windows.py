@@ -96,6 +96,25 @@ class SegmentDataset(Dataset):
                        plan.trajectory, plan.index)
 
 
+class SegmentShare(Dataset):
+    """One process's part of the segments: each is in exactly one part, and all parts are equally long.
+
+    Processes of a distributed run step together, so a shorter part ends with a segment that has no core samples.
+    """
+
+    def __init__(self, segments: SegmentDataset, rank: int, processes: int):
+        self.segments, self.rank, self.processes = segments, rank, processes
+
+    def __len__(self) -> int:
+        return -(-len(self.segments) // self.processes)
+
+    def __getitem__(self, item: int) -> Segment:
+        position = self.rank + item * self.processes
+        if position < len(self.segments):
+            return self.segments[position]
+        return replace(self.segments[self.rank], core=(0, 0))
+
+
 @dataclass(frozen=True)
 class RolloutBatch:
     """Windows (N, n_d + 1, p) with inputs (N, n_d, m), and what followed: inputs (N, H, m) → outputs (N, H, p)."""

@@ -60,7 +60,7 @@ def choose_dimension(rule: int | str, trajectories: Sequence, delays: int, trans
     """
     if isinstance(rule, int):
         return rule
-    name, _, share = rule.partition(":")
+    name, _, share = str(rule).partition(":")
     if name not in ("variance", "gap") or (name == "gap" and share):
         raise ValueError(f'state_dim is {rule!r}; expected an integer, "variance", "variance:0.99" or "gap"')
     values = window_singular_values(trajectories, delays, transient=transient)

@@ -14,7 +14,7 @@ class ExactSolve(torch.optim.Optimizer):
     """Solves the regressions accumulated since the last step, over all processes of a distributed run.
 
     ridge: relative λ of every regression, a sequence of λ to choose from by cross-validation over the folds, or a
-    mapping {regression name: either}; a regression that a mapping does not name has λ = 0.
+    mapping {regression name: either}; one that a mapping does not name takes its "default", or λ = 0.
     After `step`, `solutions` holds what was solved; who owns the parameters puts them in place.
     """
 
@@ -33,7 +33,9 @@ class ExactSolve(torch.optim.Optimizer):
         loss = closure() if closure is not None else None
         self.solutions = {}
         for name, regression in sorted(gather(self.regressions).items()):
-            ridge = self.ridge.get(name, 0.0) if isinstance(self.ridge, Mapping) else self.ridge
+            ridge = self.ridge
+            if isinstance(ridge, Mapping):
+                ridge = ridge.get(name, ridge.get("default", 0.0))
             ridge = float(ridge) if isinstance(ridge, (int, float)) else tuple(float(value) for value in ridge)
             self.solutions[name] = regression.solve(ridge)
         self.regressions = {}

@@ -91,8 +91,10 @@ class LeastSquaresFit(ModelFit):
         if isinstance(getattr(self.trainer.train_dataloader, "sampler", None), DistributedSampler):
             raise ValueError("the trainer would repeat segments to even out the processes, and count them twice; "
                              "set trainer.use_distributed_sampler=false (the data module shares them out)")
-        # DDP waits for a backward pass that a closed-form fit never makes
+        # DDP waits for a backward pass that a closed-form fit never makes, and overwrites every process's
+        # observed state_scale by that of the first
         self.trainer.strategy.model.require_backward_grad_sync = False
+        self.trainer.strategy.model.require_forward_param_sync = False
 
     @property
     def stage(self) -> str:

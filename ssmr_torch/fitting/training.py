@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import importlib
 import os
+import pickle
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from inspect import signature
 from pathlib import Path
 
 import lightning
@@ -68,7 +70,7 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
     directory = Path(directory)
     prepared = module(dataset=dataset)
     decays = [run for run in prepared.training if run.kind == "decay"] or list(prepared.training)
-    state_dim = choose_dimension(model.keywords["state_dim"], decays, model.keywords.get("delays", 0),
+    state_dim = choose_dimension(model.keywords["state_dim"], decays, signature(model).parameters["delays"].default,
                                  prepared.transient)
     reduced = model(state_dim=state_dim, input_dim=dataset.input_dim, output_dim=dataset.output_dim,
                     timestep=dataset.timestep)
@@ -96,7 +98,8 @@ def data_card(dataset: TrajectoryDataset, training: tuple) -> dict:
 
 def save_model(path: Path, model: ReducedModel, card: dict) -> Path:
     """The fitted model alone, as `load_model` reads it; written aside, then renamed."""
-    aside = path.with_name(path.name + ".part")
+    # every process of a distributed run writes the same
+    aside = path.with_name(f"{path.name}.{os.getpid()}.part")
     torch.save({"model": description(model), "card": card,
                 "state_dict": {f"model.{name}": value for name, value in model.state_dict().items()}}, aside)
     os.replace(aside, path)
@@ -110,14 +113,19 @@ def load_model(checkpoint: str | Path) -> tuple[ReducedModel, dict]:
     """
     if not Path(checkpoint).is_file():
         raise FileNotFoundError(f"no checkpoint at {checkpoint}; train.py prints the path of the one it writes")
-    stored = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    if "model" not in stored or not str(stored["model"].get("class", "")).startswith("ssmr_torch.models."):
-        raise ValueError(f"{checkpoint} holds no model of this package; expected one written by experiments/train.py")
-    module, _, name = stored["model"]["class"].rpartition(".")
-    model = getattr(importlib.import_module(module), name)(**stored["model"]["arguments"])
-    model.load_state_dict({key.removeprefix("model."): value for key, value in stored["state_dict"].items()
-                           if key.startswith("model.")})
-    return model, stored["card"]
+    try:
+        stored = torch.load(checkpoint, map_location="cpu", weights_only=True)
+        module, _, name = stored["model"]["class"].rpartition(".")
+        if not module.startswith("ssmr_torch.models."):
+            raise ValueError(f"its class is {stored['model']['class']!r}")
+        model = getattr(importlib.import_module(module), name)(**stored["model"]["arguments"])
+        model.load_state_dict({key.removeprefix("model."): value for key, value in stored["state_dict"].items()
+                               if key.startswith("model.")})
+        return model, stored["card"]
+    except (pickle.UnpicklingError, EOFError, RuntimeError, ImportError, AttributeError, LookupError, TypeError,
+            ValueError) as error:
+        raise ValueError(f"{checkpoint} holds no model of this package ({error}); expected one written by "
+                         "experiments/train.py") from error
 
 
 def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, directory: Path, loggers,
@@ -125,7 +133,8 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
     validated = bool(module.validation)
     closed_form = isinstance(fit, LeastSquaresFit)
     keep = ModelCheckpoint(dirpath=directory, filename="best", save_last=True, enable_version_counter=False,
-                           monitor="validation/rmse" if validated and not closed_form else None)
+                           monitor="validation/rmse" if validated and not closed_form else None,
+                           save_on_train_epoch_end=closed_form or None)
     trainer = build_trainer(max_epochs=fit.epochs, callbacks=[keep], logger=loggers, num_sanity_val_steps=0,
                             check_val_every_n_epoch=fit.epochs if closed_form else 1)
     last = directory / "last.ckpt"
