@@ -23,8 +23,10 @@ def main(config, directory):
     record.save(directory / "record.h5")
     metrics = closed_loop_metrics(record)
     save_json(directory / "metrics.json", metrics)
-    print("\n".join(f"{name}: {value:.6g}" for name, value in metrics.items()))
-    print(directory / "record.h5")
+    print(f"{origin['model']}: RMSE {1e3 * metrics['rmse']:.3g} mm, max {1e3 * metrics['max_error']:.3g} mm, "
+          f"ISE {1e6 * metrics['ise']:.4g} mm², solve {1e3 * metrics['solve_time_median']:.2g} ms "
+          f"(99 %: {1e3 * metrics['solve_time_p99']:.2g} ms), {metrics['fallbacks']:.0f} fallbacks\n"
+          f"{directory / 'record.h5'}")
     save_result(directory, metrics)
     return metrics["ise"]
 

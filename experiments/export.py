@@ -8,10 +8,10 @@ from ssmr_torch.provenance import provenance
 from ssmr_torch.published_models import read_ssmr_model
 
 
-def published_card(tables):
-    """What a published file does not tell: names, and inputs normalized to 0 … 1."""
+def published_card(tables, output_names):
+    """What a published file does not tell: the observed outputs, and that inputs are normalized to 0 … 1."""
     inputs, outputs = tables.input_dim, tables.output_dim
-    return {"name": "SSMR (published)", "output_names": [f"y{i + 1}" for i in range(outputs)], "rest": [0.0] * outputs,
+    return {"name": "SSMR (published)", "output_names": list(output_names), "rest": [0.0] * outputs,
             "input_names": [f"u{j + 1}" for j in range(inputs)], "input_unit": "1",
             "input_bounds": [[0.0] * inputs, [1.0] * inputs]}
 
@@ -22,7 +22,7 @@ def main(config, directory):
         raise ValueError("give either checkpoint=FILE.ckpt or mat=FILE.mat")
     if config.mat is not None:
         tables = read_ssmr_model(config.mat, length_unit=config.length_unit, input_unit=config.input_unit)
-        card = published_card(tables)
+        card = published_card(tables, config.output_names)
     else:
         model, card = load_model(config.checkpoint)
         tables = model.tables()

@@ -26,6 +26,7 @@ class SweepTable(Callback):
             writer.writeheader()
             writer.writerows(rows)
         print(f"\n{len(rows)} jobs, best first by {first}: {directory / 'sweep.csv'}")
+        print(f"  job  {'  '.join(columns[2:])}  overrides")
         for row in rows:
             values = "  ".join(f"{row.get(column):.4g}" if isinstance(row.get(column), float) else str(row.get(column))
                                for column in columns[2:])

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy.io
+from scipy.io.matlab import MatReadError
 
 from ssmr_torch.models.monomials import Monomials, count_monomials
 from ssmr_torch.models.polynomial_tables import PolynomialTables
@@ -33,7 +34,7 @@ def read_ssmr_model(path: str | Path, *, length_unit: float = 1e-3, input_unit: 
         w, B = (table[:, None] if table.ndim == 1 else table for table in (w, B))
         delays, outputs = int(params["delays"]), int(params["output_dim"])
         timestep = float(model["Ts"])
-    except (KeyError, ValueError, TypeError, IndexError, NotImplementedError) as error:
+    except (KeyError, ValueError, TypeError, IndexError, OSError, NotImplementedError, MatReadError) as error:
         raise ValueError(f"{path} is not an SSMR model: expected the struct py_data with model (w_coeff, v_coeff, "
                          f"r_coeff, B, Ts) and params (delays, output_dim); failed at {error}") from error
     n, window = len(r), len(w)

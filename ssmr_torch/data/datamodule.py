@@ -36,8 +36,13 @@ class TrajectoryDataModule(lightning.LightningDataModule):
         self.procedure, self.delays = None, 0
 
     def prepare(self, fit) -> TrajectoryDataModule:
-        """Serve what this fit needs: segments when it is closed-form, rollouts otherwise."""
+        """Serve what this fit needs: segments when it is closed-form, rollouts otherwise.
+
+        Raises ValueError here, before any fit, when runs are too short for its delays and the horizons.
+        """
         self.procedure, self.delays = getattr(fit, "procedure", None), fit.model.delays
+        for build in (self.train_dataloader, self.val_dataloader, self.test_dataloader):
+            build()
         return self
 
     def train_dataloader(self) -> DataLoader:
@@ -94,6 +99,9 @@ def _hold_out(dataset: TrajectoryDataset, share: float) -> tuple[tuple, tuple]:
             kept.append(trajectory)
             continue
         boundary = round(trajectory.length * (1 - share))
+        if min(boundary, trajectory.length - boundary) < 2:
+            raise ValueError(f"trajectory {trajectory.name!r} has {trajectory.length} samples, too few to hold out a "
+                             f"share of {share}; set validation_share=0 or mark a run as validation")
         kept.append(trajectory.part(0, boundary))
         held.append(trajectory.part(boundary, trajectory.length))
     return tuple(kept), tuple(held)

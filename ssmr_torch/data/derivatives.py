@@ -78,8 +78,8 @@ def savitzky_golay(window: int = 9, degree: int = 4) -> Stencil:
 
 def gaussian(width: float = 1.5) -> Stencil:
     """Derivative of the signal smoothed by a Gaussian of standard deviation `width` samples (SciPy's filter)."""
-    if not width > 0:
-        raise ValueError(f"Gaussian width {width} samples; expected a positive number")
+    if not 0.25 <= width < np.inf:
+        raise ValueError(f"Gaussian width {width} samples; expected at least 0.25, narrower ones reach no neighbour")
     half = int(np.ceil(4 * width))
     impulse = np.zeros(4 * half + 1)
     impulse[2 * half] = 1.0

@@ -124,8 +124,8 @@ def training_section(path: Path) -> Section:
     stored = json.loads(path.read_text())
     name = stored["provenance"]["name"]
     fits = {key: value for key, value in stored.items() if key not in ("scores", "provenance")}
-    rows = [[f"{fit}: {regression}".replace("_", " "), values["rows"], values["features"], values["condition"], values["ridge"],
-             100 * values["relative_residual"]]
+    rows = [[f"{fit}: {regression}".replace("_", " "), values["rows"], values["features"], values["condition"],
+             values["ridge"], 100 * values["relative_residual"]]
             for fit, report in fits.items() for regression, values in report["regressions"].items()]
     scores = "; ".join(f"{key.removesuffix('/rmse')} {1e3 * value:.4g} mm" for key, value in stored["scores"].items()
                        if key.endswith("/rmse") and value is not None)
@@ -134,7 +134,7 @@ def training_section(path: Path) -> Section:
     if rows:
         parts.append(Table(["regression", "rows", "features", "condition", "ridge", "residual (%)"], rows,
                            "What determined the model."))
-    for file, caption, unit in (("singular_values", "Singular values of the decays' windows, relative to the first.", "1"),
+    for file, caption, unit in (("singular_values", "Singular values of the decays' windows over the first.", "1"),
                                 ("eigenvalues", "Eigenvalues of the reduced dynamics at rest.", "1/s")):
         if path.with_name(f"{file}.svg").is_file():
             decays = next(iter(fits.values()))["trajectories"]["decay"]

@@ -18,23 +18,30 @@ STARTS_AT_ONCE = 512
 
 
 @torch.no_grad()
-def training_divergence(model: ReducedModel, trajectories: Sequence, horizon: float = 1.0) -> dict[str, float]:
-    """Share of diverged rollouts of the training data: of decays over their full length, of other runs cut into
-    stretches of `horizon` s. A mean over survivors alone would hide them.
+def training_divergence(model: ReducedModel, trajectories: Sequence, horizon: float = 1.0,
+                        transient: float = 0.0) -> dict[str, float]:
+    """Share of diverged rollouts of the training data: of decays from `transient` s on over their full length, of
+    other runs cut into stretches of `horizon` s. A mean over survivors alone would hide them.
     """
     shares = {}
     for kind in ("decay", "controlled"):
-        outcomes = [_diverged(model, starts) for starts in _batches(model.delays, trajectories, kind, horizon)]
+        runs = [_without(transient, run) if kind == "decay" else run for run in trajectories if run.kind == kind]
+        outcomes = [_diverged(model, starts) for starts in _batches(model.delays, runs, kind, horizon)]
         if outcomes:
             shares[kind] = float(torch.cat(outcomes).double().mean())
     return shares
+
+
+def _without(transient: float, run):
+    first = round(transient / run.timestep)
+    return run.part(first) if first else run
 
 
 def _batches(delays: int, trajectories: Sequence, kind: str, horizon: float) -> Iterator[list[RolloutBatch]]:
     batch = []
     for run in trajectories:
         samples = run.length - delays - 1
-        if run.kind != kind or samples < 1:
+        if samples < 1:
             continue
         if kind == "controlled":
             samples = min(samples, max(round(horizon / run.timestep), 1))
@@ -57,10 +64,11 @@ def _diverged(model: ReducedModel, starts: list[RolloutBatch]) -> Tensor:
 
 
 @torch.no_grad()
-def diagnose(fit, trajectories: Sequence) -> dict:
+def diagnose(fit, trajectories: Sequence, transient: float = 0.0) -> dict:
     """Report of a fit as plain values: regressions, singular values, eigenvalues, diverged shares, warnings."""
     model = fit.model
-    report = {"regressions": getattr(fit, "solutions", {}), "diverged": training_divergence(model, trajectories),
+    diverged = training_divergence(model, trajectories, transient=transient)
+    report = {"regressions": getattr(fit, "solutions", {}), "diverged": diverged,
               "trajectories": {kind: sum(t.kind == kind for t in trajectories) for kind in ("decay", "controlled")}}
     if isinstance(model, SSMR):
         eigenvalues = torch.linalg.eigvals(model.drift_table[:, :model.state_dim])

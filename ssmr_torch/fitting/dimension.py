@@ -20,7 +20,7 @@ def window_singular_values(trajectories: Sequence, delays: int, *, transient: fl
         total = factor if total is None else total.merged(factor)
     if total is None:
         raise ValueError("no trajectories were given; the tangent space is found from decays, or from controlled "
-                         "runs with tangent_data=all")
+                         "runs with manifold_data=all")
     return singular_values(total)[0].numpy()
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import lightning
 import torch
@@ -75,6 +75,9 @@ class LeastSquaresFit(ModelFit):
         super().__init__(procedure.model)
         if folds < 2:
             raise ValueError(f"folds is {folds}; cross-validation needs at least 2")
+        unknown = set(ridge) - {"default", *procedure.names} if isinstance(ridge, Mapping) else set()
+        if unknown:
+            raise ValueError(f"ridge names {sorted(unknown)}; the regressions are {sorted(procedure.names)}")
         self.procedure, self.ridge, self.folds = procedure, ridge, int(folds)
         self.automatic_optimization = False
         self.solutions: dict[str, dict] = {}
@@ -91,10 +94,8 @@ class LeastSquaresFit(ModelFit):
         if isinstance(getattr(self.trainer.train_dataloader, "sampler", None), DistributedSampler):
             raise ValueError("the trainer would repeat segments to even out the processes, and count them twice; "
                              "set trainer.use_distributed_sampler=false (the data module shares them out)")
-        # DDP waits for a backward pass that a closed-form fit never makes, and overwrites every process's
-        # observed state_scale by that of the first
+        # DDP waits for a backward pass that a closed-form fit never makes
         self.trainer.strategy.model.require_backward_grad_sync = False
-        self.trainer.strategy.model.require_forward_param_sync = False
 
     @property
     def stage(self) -> str:

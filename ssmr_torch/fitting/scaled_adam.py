@@ -25,11 +25,14 @@ class ScaledAdam(torch.optim.Adam):
 
     @torch.no_grad()
     def clip(self, largest: float) -> None:
-        """Shrink the gradient with respect to θ / s to at most this norm."""
+        """Shrink the gradient with respect to θ / s to at most this norm; one that is not finite becomes zero."""
         pairs = [(p, s) for p, s in self._scaled() if p.grad is not None]
         norm = sum((p.grad * s).square().sum() for p, s in pairs) ** 0.5
         for parameter, _ in pairs:
-            parameter.grad.mul_(torch.clamp(largest / (norm + 1e-300), max=1.0))
+            if torch.isfinite(norm):
+                parameter.grad.mul_(torch.clamp(largest / (norm + 1e-300), max=1.0))
+            else:
+                parameter.grad.zero_()
 
     @torch.no_grad()
     def step(self, closure=None):
@@ -51,7 +54,8 @@ class ScaledAdam(torch.optim.Adam):
 def table_scales(model: ReducedModel) -> dict[str, Tensor]:
     """For each table of an SSMR, s_ij = (size of row i) / (size of monomial j) at the edge of the training data.
 
-    The size of row i is Σ_j |θ_ij| |monomial_j|, so a step of relative size ε changes the row by about ε of itself.
+    The size of row i is Σ_j |θ_ij| |monomial_j|, at least a thousandth of the largest row's, so a step of relative size
+    ε changes the row by about ε of itself.
     Any other model: no scales.
     """
     if not isinstance(model, SSMR) or model.state_scale.isinf().any():
@@ -63,6 +67,7 @@ def table_scales(model: ReducedModel) -> dict[str, Tensor]:
     scales = {}
     for name, monomials in sizes.items():
         table = getattr(model, name)
-        row = (table.abs() * monomials).sum(1, keepdim=True).clamp_min(1e-300)
+        row = (table.abs() * monomials).sum(1, keepdim=True)
+        row = torch.maximum(row, 1e-3 * row.max()).clamp_min(1e-300)
         scales[name] = row / monomials.clamp_min(1e-300)
     return scales

@@ -25,6 +25,7 @@ class LeastSquaresModel(Protocol):
     """A model that is fitted in closed form, stage after stage, one pass over the data each."""
 
     stages: tuple[str, ...]
+    names: tuple[str, ...]
     model: nn.Module
     before: int
     after: int
@@ -51,19 +52,22 @@ class SSMRLeastSquares(nn.Module):
         What is regressed is the window's rest beyond V z; without reparametrization v(w(z)) = z exactly.
     input_alignment: "held" pairs each difference with the held inputs it has felt; "sample" with the input at its
         sample, as the authors do.
-    tangent_data: "decays", or "all" where no decays were recorded.
+    manifold_data: the runs that show the tangent space and the manifold: "decays", or "all" where none were recorded.
+    names: of all regressions that some stage may have.
     Raises ValueError for options outside these, where the SVD has fewer directions than state_dim, and in `assign`
     where the data held no run of the kind that a stage needs.
     """
 
+    names = ("tangent_space", "reparametrization", "parametrization", "chart", "drift", "control", "dynamics")
+
     def __init__(self, model: SSMR, *, derivative: Stencil | None = None, calibration: str = "joint",
                  parametrization_fit: str = "full", input_alignment: str = "held",
-                 detection_delays: int | None = None, tangent_data: str = "decays"):
+                 detection_delays: int | None = None, manifold_data: str = "decays"):
         super().__init__()
         for name, value, options in (("calibration", calibration, ("joint", "frozen")),
                                      ("parametrization_fit", parametrization_fit, ("full", "tangent")),
                                      ("input_alignment", input_alignment, ("held", "sample")),
-                                     ("tangent_data", tangent_data, ("decays", "all"))):
+                                     ("manifold_data", manifold_data, ("decays", "all"))):
             if value not in options:
                 raise ValueError(f"{name} is {value!r}; expected one of {options}")
         if detection_delays is not None and detection_delays < model.delays:
@@ -73,7 +77,7 @@ class SSMRLeastSquares(nn.Module):
         self.__dict__["model"] = model
         self.derivative = derivative or central_difference(6)
         self.calibration, self.parametrization_fit = calibration, parametrization_fit
-        self.input_alignment, self.tangent_data = input_alignment, tangent_data
+        self.input_alignment, self.manifold_data = input_alignment, manifold_data
         self.detection_delays = model.delays if detection_delays is None else detection_delays
         self.reparametrized = self.detection_delays > model.delays
         self.stages = ("tangent_space", *(("reparametrization",) if self.reparametrized else ()),
@@ -96,13 +100,13 @@ class SSMRLeastSquares(nn.Module):
     @torch.no_grad()
     def regressions(self, segment: Segment, stage: str) -> dict[str, Regression]:
         decay = segment.kind == "decay"
+        shown = decay or (self.manifold_data == "all" and segment.kind == "controlled")
         if stage == "tangent_space":
-            chosen = decay or (self.tangent_data == "all" and segment.kind == "controlled")
-            return self._tangent_space(segment) if chosen else {}
+            return self._tangent_space(segment) if shown else {}
         if stage == "reparametrization":
-            return self._reparametrization(segment) if decay else {}
+            return self._reparametrization(segment) if shown else {}
         if stage == "manifold":
-            manifold = self._manifold(segment) if decay else {}
+            manifold = self._manifold(segment) if shown else {}
             return manifold | (self._drift(segment) if decay and self.calibration == "frozen" else {})
         if self.calibration == "frozen":
             return self._control(segment) if segment.kind == "controlled" else {}
@@ -138,7 +142,7 @@ class SSMRLeastSquares(nn.Module):
         if missing:
             kind = "controlled" if stage == "control" else "decay"
             raise ValueError(f"the {stage} stage found no rows for {missing}: the training data hold no {kind} runs; "
-                             "record some, or use tangent_data=all, calibration=joint and chart_degree=1")
+                             "record some, or use manifold_data=all and calibration=joint")
 
     def encode_detected(self, segment: Segment) -> Tensor:
         """Reduced coordinates of the segment's samples from its long windows, (L - detection_delays, n)."""

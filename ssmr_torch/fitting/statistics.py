@@ -76,12 +76,14 @@ class StreamedRegression:
     def solve(self, ridge: float | tuple[float, ...] = 0.0) -> Solution:
         """Minimize Σ‖targets - C features‖² + λ Σ_j s_j² ‖C_j‖², s_j² = Σ feature_j²: λ has no unit.
 
-        Several values of λ: the one with the least held-out error over the folds. Raises ValueError when there are
-        fewer rows than needed for any fit, or several λ but only one fold.
+        Several values of λ: the one with the least held-out error over the folds. Raises ValueError when no
+        rows were accumulated, a λ is negative, or there are several λ but only one fold.
         """
         if not self.folds:
             raise ValueError("no rows were accumulated; the training data hold none of this kind")
         candidates = tuple(ridge) if isinstance(ridge, (tuple, list)) else (float(ridge),)
+        if not candidates or not all(0 <= value < float("inf") for value in candidates):
+            raise ValueError(f"ridge is {ridge}; expected 0 or more, one value or several")
         validation = {}
         if len(candidates) > 1 and self.split[1] > 0:
             if len(self.folds) < 2:

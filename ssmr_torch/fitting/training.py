@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import pickle
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from inspect import signature
@@ -64,7 +63,8 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
     name: of the model, in tables and figures. model: constructor that still misses input_dim, output_dim and
     timestep, which the data give; its state_dim is a number or a rule of `choose_dimension`.
     Checkpoints go to directory/checkpoints/FIT, of a refinement the best by validation error, of a closed form the
-    last; the fitted model to directory/model.ckpt. resume: continue from the checkpoints already there.
+    last; a refinement that does not lower the validation error is undone. The fitted model goes to
+    directory/model.ckpt. resume: continue from the checkpoints already there.
     Raises ValueError for data or options that cannot be fitted, before any work.
     """
     directory = Path(directory)
@@ -80,7 +80,7 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
         fit = build(reduced)
         fit.card = card
         scores = _run(fit, prepared.prepare(fit), trainer, directory / "checkpoints" / step, loggers, resume)
-        report[step] = diagnose(fit, prepared.training)
+        report[step] = diagnose(fit, prepared.training, prepared.transient)
     checkpoint = save_model(directory / "model.ckpt", reduced, card | {"scores": scores})
     return Training(reduced, checkpoint, scores, report)
 
@@ -115,6 +115,10 @@ def load_model(checkpoint: str | Path) -> tuple[ReducedModel, dict]:
         raise FileNotFoundError(f"no checkpoint at {checkpoint}; train.py prints the path of the one it writes")
     try:
         stored = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises what its unpickler meets, and advises to load unsafely
+        raise ValueError(f"{checkpoint} is not a checkpoint of plain values; expected one written by "
+                         "experiments/train.py") from error
+    try:
         module, _, name = stored["model"]["class"].rpartition(".")
         if not module.startswith("ssmr_torch.models."):
             raise ValueError(f"its class is {stored['model']['class']!r}")
@@ -122,8 +126,7 @@ def load_model(checkpoint: str | Path) -> tuple[ReducedModel, dict]:
         model.load_state_dict({key.removeprefix("model."): value for key, value in stored["state_dict"].items()
                                if key.startswith("model.")})
         return model, stored["card"]
-    except (pickle.UnpicklingError, EOFError, RuntimeError, ImportError, AttributeError, LookupError, TypeError,
-            ValueError) as error:
+    except (LookupError, TypeError, ValueError, RuntimeError, ImportError, AttributeError) as error:
         raise ValueError(f"{checkpoint} holds no model of this package ({error}); expected one written by "
                          "experiments/train.py") from error
 
@@ -138,9 +141,11 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
     trainer = build_trainer(max_epochs=fit.epochs, callbacks=[keep], logger=loggers, num_sanity_val_steps=0,
                             check_val_every_n_epoch=fit.epochs if closed_form else 1)
     last = directory / "last.ckpt"
+    before = {name: value.clone() for name, value in fit.model.state_dict().items()}
+    bar = None if closed_form or not validated else trainer.validate(fit, module, verbose=False)[0]["validation/rmse"]
     trainer.fit(fit, module, ckpt_path=str(last) if resume and last.is_file() else None, weights_only=True)
-    chosen = Path(keep.best_model_path or last)
-    fit.model.load_state_dict(load_model(chosen)[0].state_dict())
+    improved = bar is None or float(keep.best_model_score) <= bar
+    fit.model.load_state_dict(load_model(keep.best_model_path or last)[0].state_dict() if improved else before)
     scores = {}
     for run, available in ((trainer.validate, validated), (trainer.test, bool(module.test))):
         if available:

@@ -10,10 +10,9 @@ from ssmr_torch.data.derivatives import Stencil, central_difference, gaussian, s
 
 STENCILS = {"central 2": central_difference(2), "central 4": central_difference(4), "central 6": central_difference(),
             "central 8": central_difference(8), "Savitzky-Golay 9, 4": savitzky_golay(),
-            "Savitzky-Golay 5, 1": savitzky_golay(5, 1), "Gaussian 1.5": gaussian(), "Gaussian 0.7": gaussian(0.7)}
+            "Savitzky-Golay 5, 1": savitzky_golay(5, 1), "Gaussian 1.5": gaussian(), "Gaussian 0.25": gaussian(0.25)}
 EXACT_DEGREE = {"central 2": 2, "central 4": 4, "central 6": 6, "central 8": 8, "Savitzky-Golay 9, 4": 4,
-                "Savitzky-Golay 5, 1": 2, "Gaussian 1.5": 2, "Gaussian 0.7": 2}
-DISTINCT_ORDERS = [2, 4, 6, 8]
+                "Savitzky-Golay 5, 1": 2, "Gaussian 1.5": 2, "Gaussian 0.25": 2}
 
 
 @pytest.fixture(params=STENCILS)
@@ -28,7 +27,7 @@ def error(stencil, h):
     return np.abs(found - 7 * np.cos(7 * t + 0.3)[w:-w]).max()
 
 
-@pytest.mark.parametrize("order", DISTINCT_ORDERS)
+@pytest.mark.parametrize("order", [2, 4, 6, 8])
 def test_central_differences_converge_with_their_order(order):
     coarse, fine = (error(central_difference(order), h) for h in (0.02, 0.01))
     assert np.log2(coarse / fine) == pytest.approx(order, abs=0.1)
@@ -129,8 +128,8 @@ def test_smoothing_differences_pass_less_noise_than_central_ones_by_the_norm_of_
     (lambda: central_difference(0), "order 0"),
     (lambda: savitzky_golay(8, 2), "window 8 and degree 2; expected an odd window"),
     (lambda: savitzky_golay(5, 5), "1 ≤ degree < window"), (lambda: savitzky_golay(5, 0), "degree 0"),
-    (lambda: gaussian(0.0), "width 0.0 samples; expected a positive number"),
-    (lambda: gaussian(float("nan")), "width nan"),
+    (lambda: gaussian(0.1), "width 0.1 samples; expected at least 0.25"),
+    (lambda: gaussian(float("nan")), "width nan"), (lambda: gaussian(float("inf")), "width inf"),
     (lambda: Stencil((1.0, 2.0)), "2 weights; a centred stencil has an odd number, at least 3"),
     (lambda: Stencil((1.0,)), "1 weights"),
     (lambda: Stencil((-1.0, 0.0, 1.0)), "differentiate a unit ramp to 2; expected 0 and 1"),
@@ -139,9 +138,3 @@ def test_smoothing_differences_pass_less_noise_than_central_ones_by_the_norm_of_
 def test_what_is_no_derivative_is_refused_with_the_numbers(build, message):
     with pytest.raises(ValueError, match=message):
         build()
-
-
-def test_a_gaussian_narrower_than_a_sample_is_a_difference_or_is_refused():
-    np.testing.assert_allclose(gaussian(0.1).weights, [-0.5, 0, 0.5], atol=1e-12)
-    with pytest.raises(ValueError, match="width 0.01 samples"):
-        gaussian(0.01)

@@ -5,9 +5,9 @@ import pytest
 
 from ssmr_torch.data.excitation import (
     Chirp,
+    Ramp,
     RandomOnOffRamp,
     RandomSteps,
-    Ramp,
     Release,
     SetPoints,
     SmoothRandom,

@@ -118,8 +118,11 @@ def test_batches_accumulate_to_the_solution_of_all_rows_and_each_step_starts_ane
     assert set(optimizer.solutions) == {"a"} and optimizer.solutions["a"].rows == 20
 
 
-def test_a_mapping_gives_each_regression_its_own_ridge_and_none_to_the_others(rows):
-    optimizer = solver({"one": 0.1, "several": [0.0, 1e3]})
+def test_a_mapping_gives_each_regression_its_own_ridge_and_the_default_or_none_to_the_others(rows):
+    named = {"one": 0.1, "several": [0.0, 1e3]}
+    assert ridges(rows, named | {"default": 0.5}) == [0.1, 0.0, 0.5]
+    assert ridges(rows, 0.2) == [0.2, 0.2, 0.2]
+    optimizer = solver(named)
     for name in ("one", "several", "unnamed"):
         for fold in range(3):
             optimizer.accumulate(name, rows[0][30 * fold:30 * fold + 30], rows[1][30 * fold:30 * fold + 30], fold)
@@ -129,6 +132,21 @@ def test_a_mapping_gives_each_regression_its_own_ridge_and_none_to_the_others(ro
     assert set(found["several"].validation) == {0.0, 1e3} and not found["one"].validation
     assert found["one"].coefficients.norm() < found["unnamed"].coefficients.norm()
     torch.testing.assert_close(found["several"].coefficients, found["unnamed"].coefficients, rtol=1e-12, atol=0)
+
+
+def ridges(rows, ridge):
+    optimizer = solver(ridge)
+    for name in ("one", "several", "unnamed"):
+        for fold in range(3):
+            optimizer.accumulate(name, rows[0][30 * fold:30 * fold + 30], rows[1][30 * fold:30 * fold + 30], fold)
+    optimizer.step()
+    return [optimizer.solutions[name].ridge for name in ("one", "several", "unnamed")]
+
+
+@pytest.mark.parametrize("ridge", [-1e-3, float("nan"), [0.0, -1.0]])
+def test_a_ridge_below_zero_is_refused(rows, ridge):
+    with pytest.raises(ValueError, match="expected 0 or more"):
+        ridges(rows, ridge)
 
 
 def test_stages_are_the_steps_of_the_paper_and_reparametrization_is_one_of_them_where_it_is_asked_for(known):
@@ -142,20 +160,20 @@ def test_stages_are_the_steps_of_the_paper_and_reparametrization_is_one_of_them_
 
 
 @pytest.mark.parametrize(("calibration", "tangent", "chosen", "message"), [
-    ("joint", "decays", "controlled", "tangent_space stage.*no decay runs.*tangent_data=all"),
+    ("joint", "decays", "controlled", "tangent_space stage.*no decay runs.*manifold_data=all"),
     ("frozen", "all", "controlled", "manifold stage.*'drift'.*no decay runs"),
     ("frozen", "decays", "decay", "control stage.*'control'.*no controlled runs")])
 def test_runs_that_a_stage_needs_and_the_data_lack_are_named(known, solve_stages, calibration, tangent, chosen,
                                                              message):
     runs = known.decays(0.01, pairs=1, finest=1e-2) + known.excited_runs(0.01, count=1, finest=1e-2)
-    procedure = SSMRLeastSquares(ssmr(runs), calibration=calibration, tangent_data=tangent)
+    procedure = SSMRLeastSquares(ssmr(runs), calibration=calibration, manifold_data=tangent)
     with pytest.raises(ValueError, match=message):
         solve_stages(procedure, [run for run in runs if run.kind == chosen])
 
 
 @pytest.mark.parametrize(("options", "message"), [
     ({"calibration": "both"}, "calibration is 'both'; expected one of \\('joint', 'frozen'\\)"),
-    ({"input_alignment": "none"}, "input_alignment is 'none'"), ({"tangent_data": ""}, "tangent_data is ''"),
+    ({"input_alignment": "none"}, "input_alignment is 'none'"), ({"manifold_data": ""}, "manifold_data is ''"),
     ({"parametrization_fit": "curved"}, "parametrization_fit is 'curved'"),
     ({"detection_delays": 0}, "detection_delays is 0, fewer than the model's 1")])
 def test_options_that_do_not_exist_are_refused(known, options, message):

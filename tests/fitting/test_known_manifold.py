@@ -33,7 +33,8 @@ def controlled(plant, rng, xi, amplitude, samples):
     observation = [plant.reset(state=plant.on_manifold(xi))]
     for _ in range(samples - 1):
         observation.append(plant.step(u))
-    return Trajectory(plant.timestep * np.arange(samples), np.array(observation), np.tile(u, (samples, 1)), "controlled")
+    time, inputs = plant.timestep * np.arange(samples), np.tile(u, (samples, 1))
+    return Trajectory(time, np.array(observation), inputs, "controlled")
 
 
 def errors(solve_stages, degree, amplitude, observe, delays, calibration):

@@ -1,0 +1,262 @@
+"""What is deployed: a directory that is complete, replays its reference, and needs no training libraries."""
+
+import hashlib
+import json
+import subprocess
+import sys
+from dataclasses import fields, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file, save_file
+
+from ssmr_torch import artifact
+from ssmr_torch.models.monomials import count_monomials
+from ssmr_torch.models.polynomial_tables import PolynomialTables
+
+DATA = {"output_names": ["x", "y", "z"], "input_names": ["u1", "u2"], "rest": [0.1, 0.0, 1 / 3],
+        "input_bounds": [[0.0, -1.0], [1.0, 2.0]]}
+
+
+def tables(n=4, m=2, p=3, delays=2, chart=1, parametrization=2, dynamics=3, control=1, seed=0):
+    rng = np.random.default_rng(seed)
+    window = (delays + 1) * p
+    frame = np.linalg.qr(rng.normal(size=(window, n))).Q
+    w = 0.3 * rng.normal(size=(window, count_monomials(n, 1, parametrization)))
+    w[:, :n] = frame
+    v = 0.01 * rng.normal(size=(n, count_monomials(window, 1, chart)))
+    v[:, :window] = frame.T
+    return PolynomialTables(
+        v, w, rng.normal(size=(n, count_monomials(n, 1, dynamics))),
+        rng.normal(size=(n, m * (1 + count_monomials(n, 1, control)))), np.full(n, 0.05), chart, parametrization,
+        dynamics, control, m, p, delays, 0.02, 0.01, 2)
+
+
+MODELS = {"curved": tables(), "linear": tables(parametrization=1, dynamics=1, control=0),
+          "without delays": tables(n=2, delays=0), "curved chart": tables(chart=2, control=2)}
+
+
+@pytest.fixture
+def saved(tmp_path):
+    return artifact.save(tmp_path / "model", MODELS["curved"], **DATA, name="ours", input_unit="1",
+                         provenance={"commit": "abc+"}, scores={"validation/rmse": 1e-4})
+
+
+def card_of(directory):
+    return json.loads((directory / "card.json").read_text())
+
+
+def rewrite(directory, change, file="tables.safetensors"):
+    """Change arrays of a file and the card's hash of it: what a hash alone would not notice."""
+    arrays = load_file(directory / file)
+    change(arrays)
+    save_file(arrays, directory / file)
+    card = card_of(directory)
+    card["sha256"][file] = hashlib.sha256((directory / file).read_bytes()).hexdigest()
+    (directory / "card.json").write_text(json.dumps(card))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_loaded_model_has_the_same_tables_and_predicts_the_same(name, tmp_path):
+    model = MODELS[name]
+    loaded = artifact.load(artifact.save(tmp_path / "deep" / "model", model, **DATA)).model
+    for field in fields(PolynomialTables):
+        np.testing.assert_array_equal(getattr(loaded, field.name), getattr(model, field.name))
+    rng = np.random.default_rng(1)
+    z, inputs = 0.02 * rng.normal(size=(5, model.state_dim)), rng.uniform(size=(5, 30, 2))
+    window = 0.02 * rng.normal(size=(5, model.delays + 1, 3))
+    np.testing.assert_allclose(loaded.rollout(z, inputs), model.rollout(z, inputs), rtol=1e-12)
+    np.testing.assert_allclose(loaded.encode(window, None), model.encode(window, None), rtol=1e-12)
+    for ours, theirs in zip(loaded.linearize(z, inputs[:, 0]), model.linearize(z, inputs[:, 0]), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12)
+
+
+def test_the_card_says_what_the_model_is_in_plain_json(saved):
+    card = card_of(saved)
+    assert card["units"] == {"length": "m", "time": "s", "input": "1"}
+    assert card["model"] == {"chart_degree": 1, "parametrization_degree": 2, "dynamics_degree": 3, "control_degree": 1,
+                             "input_dim": 2, "output_dim": 3, "delays": 2, "timestep": 0.02, "window_timestep": 0.01,
+                             "substeps": 2, "state_dim": 4}
+    assert {key: card[key] for key in DATA} == DATA
+    assert (card["format"], card["kind"], card["name"]) == (artifact.FORMAT, "polynomial", "ours")
+    assert card["provenance"] == {"commit": "abc+"} and card["scores"] == {"validation/rmse": 1e-4}
+    assert artifact.load(saved).card == card
+
+
+def test_nothing_in_an_artifact_is_a_pickle(saved):
+    assert sorted(path.name for path in saved.iterdir()) == ["card.json", "reference.safetensors",
+                                                             "tables.safetensors"]
+    for file in ("tables.safetensors", "reference.safetensors"):
+        content = (saved / file).read_bytes()
+        header = json.loads(content[8:8 + int.from_bytes(content[:8], "little")])
+        arrays = [value for key, value in header.items() if key != "__metadata__"]
+        assert all(value["dtype"] == "F64" for value in arrays)
+        end = max(value["data_offsets"][1] for value in arrays)
+        assert len(content) == 8 + int.from_bytes(content[:8], "little") + end
+
+
+@pytest.mark.parametrize("table", ["chart", "parametrization", "drift", "control"])
+def test_a_table_that_was_changed_is_refused_by_its_hash_and_if_that_is_forged_by_the_replay(saved, table):
+    def nudge(arrays):
+        arrays[table] = arrays[table] + 1e-6 * np.abs(arrays[table]).max()
+
+    original = (saved / "tables.safetensors").read_bytes()
+    arrays = load_file(saved / "tables.safetensors")
+    nudge(arrays)
+    save_file(arrays, saved / "tables.safetensors")
+    with pytest.raises(ValueError, match="tables.safetensors is missing or differs from what the card records"):
+        artifact.load(saved)
+    (saved / "tables.safetensors").write_bytes(original)
+    artifact.load(saved)
+    rewrite(saved, nudge)
+    with pytest.raises(ValueError, match=r"its reference: \w+ differs by [\d.e-]+ relative, more than 1e-09"):
+        artifact.load(saved)
+
+
+def test_a_table_that_became_nan_is_refused_by_the_replay(saved):
+    rewrite(saved, lambda arrays: arrays["drift"].__setitem__((0, 0), np.nan))
+    with pytest.raises(ValueError, match="differs by nan"):
+        artifact.load(saved)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_rounding_of_another_machine_is_accepted(name, tmp_path):
+    """Also of the constant term of a linear model, which is rounding altogether."""
+    saved = artifact.save(tmp_path / "model", MODELS[name], **DATA)
+    rng = np.random.default_rng(2)
+
+    def round_differently(arrays):
+        size = {key: np.abs(arrays[key]).max() for key in arrays}
+        size["c"] = size["following"]
+        for key in ("encoded", "decoded", "following", "A", "B", "c"):
+            arrays[key] = arrays[key] + 4e-16 * size[key] * rng.choice([-1, 1], arrays[key].shape)
+
+    rewrite(saved, round_differently, "reference.safetensors")
+    artifact.load(saved)
+
+
+@pytest.mark.parametrize("file", ["tables.safetensors", "reference.safetensors"])
+@pytest.mark.parametrize("damage", ["missing", "truncated", "empty"])
+def test_damaged_files_are_refused(saved, file, damage):
+    content = (saved / file).read_bytes()
+    (saved / file).unlink()
+    if damage != "missing":
+        (saved / file).write_bytes(content[:-8] if damage == "truncated" else b"")
+    with pytest.raises(ValueError, match=f"{file} is missing or differs"):
+        artifact.load(saved)
+    card = card_of(saved)
+    del card["sha256"][file]
+    (saved / "card.json").write_text(json.dumps(card))
+    with pytest.raises(ValueError, match=f"{file} is missing or differs"):
+        artifact.load(saved)
+
+
+@pytest.mark.parametrize(("text", "message"), [
+    ("{not json", "not valid JSON"), ("", "not valid JSON"), ("[]", "not the card of an artifact"),
+    ("{}", "not the card of an artifact"), ('"text"', "not the card of an artifact")])
+def test_a_card_that_is_none_is_refused(saved, text, message):
+    (saved / "card.json").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        artifact.load(saved)
+
+
+@pytest.mark.parametrize(("key", "value"), [("format", "ssmr_torch artifact 2"), ("kind", "neural")])
+def test_another_format_is_refused_with_both_names(saved, key, value):
+    (saved / "card.json").write_text(json.dumps(card_of(saved) | {key: value}))
+    with pytest.raises(ValueError, match=f"'{value}'.*this version reads 'ssmr_torch artifact 1' of kind 'polynomial'"):
+        artifact.load(saved)
+
+
+def test_what_is_not_there_is_said_to_be_missing(tmp_path):
+    for path in (tmp_path / "absent", tmp_path):
+        with pytest.raises(FileNotFoundError, match="no card.json.*export.py"):
+            artifact.load(path)
+
+
+def test_an_artifact_is_replaced_whole(saved):
+    artifact.save(saved, MODELS["linear"], **DATA, name="newer")
+    loaded = artifact.load(saved)
+    assert loaded.card["name"] == "newer" and loaded.model.dynamics_degree == 1
+    assert [path.name for path in saved.parent.iterdir()] == [saved.name]
+
+
+def test_what_is_no_part_of_an_artifact_is_never_overwritten(saved, tmp_path):
+    (saved / "notes.txt").write_text("mine")
+    with pytest.raises(ValueError, match=r"exists and holds \['notes.txt'\], which are no part of an artifact"):
+        artifact.save(saved, MODELS["linear"], **DATA)
+    assert (saved / "notes.txt").read_text() == "mine" and artifact.load(saved).card["name"] == "ours"
+    file = tmp_path / "file"
+    file.write_text("mine")
+    with pytest.raises(ValueError, match="choose another directory"):
+        artifact.save(file, MODELS["linear"], **DATA)
+    assert file.read_text() == "mine"
+    (tmp_path / "empty").mkdir()
+    artifact.load(artifact.save(tmp_path / "empty", MODELS["linear"], **DATA))
+
+
+def test_a_save_that_is_interrupted_leaves_the_old_artifact_as_it_was(saved, monkeypatch):
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    for step in ("save_file", "_predict", "_replace"):
+        monkeypatch.setattr(artifact, step, interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            artifact.save(saved, MODELS["linear"], **DATA)
+        monkeypatch.undo()
+        assert artifact.load(saved).card["name"] == "ours"
+    artifact.save(saved, MODELS["linear"], **DATA)
+    assert artifact.load(saved).model.dynamics_degree == 1
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"output_names": ["x"]}, "1 output names and a rest of shape \\(3,\\) for a model of 3 outputs"),
+    ({"rest": [0.0]}, "rest of shape \\(1,\\)"), ({"input_names": []}, "0 input names"),
+    ({"input_bounds": [[0.0], [1.0]]}, "bounds of shape \\(2, 1\\) for a model of 2 inputs"),
+    ({"input_bounds": [[0.0, 1.0], [1.0, 1.0]]}, "the lower below the upper")])
+def test_a_card_that_contradicts_the_model_is_refused_before_anything_is_written(tmp_path, change, message):
+    with pytest.raises(ValueError, match=message):
+        artifact.save(tmp_path / "model", MODELS["curved"], **(DATA | change))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("table", "value"), [("drift", np.nan), ("state_scale", np.inf)])
+def test_a_model_that_was_never_fitted_is_refused(tmp_path, table, value):
+    broken = replace(MODELS["curved"], **{table: np.full_like(getattr(MODELS["curved"], table), value)})
+    with pytest.raises(ValueError, match=f"the table {table} is not finite; fit the model"):
+        artifact.save(tmp_path / "model", broken, **DATA)
+    assert not list(tmp_path.iterdir())
+
+
+def test_models_are_told_apart_by_name_and_compared_on_the_same_outputs_only(saved):
+    one = artifact.load(saved)
+    assert list(artifact.by_name([one, one, one])) == ["ours", "ours 2", "ours 3"]
+    assert artifact.common_outputs([one, one]) == ["x", "y", "z"]
+    other = artifact.Artifact(one.model, one.card | {"output_names": ["x"]})
+    with pytest.raises(ValueError, match=r"different outputs \[\['x', 'y', 'z'\], \['x'\]\]"):
+        artifact.common_outputs([one, other])
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"output_names": ("x", "y", "tip")}, "outputs \\['x', 'y', 'z'\\], the plant has \\['x', 'y', 'tip'\\]"),
+    ({"input_names": ("u1",)}, "inputs"), ({"input_unit": "N"}, "input unit 1, the plant has N")])
+def test_a_plant_of_other_outputs_inputs_or_units_is_refused(saved, change, message):
+    plant = {"output_names": ("x", "y", "z"), "input_names": ("u1", "u2"), "input_unit": "1"}
+    artifact.check_plant(artifact.load(saved), SimpleNamespace(**plant))
+    with pytest.raises(ValueError, match=message):
+        artifact.check_plant(artifact.load(saved), SimpleNamespace(**(plant | change)))
+
+
+def test_an_artifact_runs_where_no_training_library_is_installed(saved):
+    program = f"""
+import sys
+for name in ("torch", "lightning", "hydra", "omegaconf", "wandb", "matplotlib", "sklearn"):
+    sys.modules[name] = None
+import numpy as np
+from ssmr_torch import artifact
+model = artifact.load({str(saved)!r}).model
+print(model.step(np.full(4, 0.01), np.ones(2)).tolist())
+"""
+    output = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    expected = MODELS["curved"].step(np.full(4, 0.01), np.ones(2))
+    np.testing.assert_allclose(json.loads(output), expected, rtol=1e-12)

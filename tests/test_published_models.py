@@ -1,0 +1,90 @@
+"""Published models in our units predict what their own tables say in theirs."""
+
+import numpy as np
+import pytest
+import scipy.io
+from sklearn.preprocessing import PolynomialFeatures
+
+from ssmr_torch.published_models import read_ssmr_model
+
+
+def their_monomials(x, degree):
+    return PolynomialFeatures(degree, include_bias=False).fit_transform(x)
+
+
+def write(path, model=None, params=None, name="py_data"):
+    rng = np.random.default_rng(0)
+    tables = {"w_coeff": rng.normal(size=(6, 9)), "v_coeff": rng.normal(size=(3, 6)),
+              "r_coeff": rng.normal(size=(3, 19)), "B": rng.normal(size=(3, 2)), "Ts": 0.02}
+    sizes = {"delays": 1, "output_dim": 3}
+    scipy.io.savemat(path, {name: {"model": tables | (model or {}), "params": sizes | (params or {})}})
+    return path
+
+
+def assert_same_predictions(path, length_unit, input_unit):
+    """w, v, dz/dt in SI against the stored tables applied to the stored units by scikit-learn's polynomials."""
+    stored = scipy.io.loadmat(path, simplify_cells=True)["py_data"]["model"]
+    w, v, r = stored["w_coeff"], np.atleast_2d(stored["v_coeff"]), stored["r_coeff"]
+    n, window = len(r), len(w)
+    B = stored["B"].reshape(n, -1)
+    degree = {name: next(d for d in range(1, 6) if their_monomials(np.ones((1, k)), d).shape[1] == table.shape[1])
+              for name, table, k in (("w", w, n), ("v", v, window), ("r", r, n))}
+    model = read_ssmr_model(path, length_unit=length_unit, input_unit=input_unit)
+    rng = np.random.default_rng(1)
+    z, y, u = 5 * rng.normal(size=(20, n)), 5 * rng.normal(size=(20, window)), rng.uniform(size=(20, B.shape[1]))
+    metres, newtons = length_unit * z, input_unit * u
+    windows = (length_unit * y).reshape(20, model.delays + 1, model.output_dim)
+    decoded = their_monomials(z, degree["w"]) @ w.T
+    np.testing.assert_allclose(model.parametrization_monomials(metres) @ model.parametrization.T,
+                               length_unit * decoded, rtol=1e-11)
+    np.testing.assert_allclose(model.decode(metres), length_unit * decoded[:, -model.output_dim:], rtol=1e-11)
+    np.testing.assert_allclose(model.encode(windows, None), length_unit * their_monomials(y, degree["v"]) @ v.T,
+                               rtol=1e-10)
+    np.testing.assert_allclose(model.rate(metres, newtons),
+                               length_unit * (their_monomials(z, degree["r"]) @ r.T + u @ B.T), rtol=1e-11)
+    assert model.timestep == model.window_timestep == stored["Ts"]
+
+
+def test_the_published_diamond_model_predicts_in_metres_what_it_does_in_millimetres(measurements):
+    assert_same_predictions(measurements("diamond_hardware/reference_model.mat"), 1e-3, 1.0)
+
+
+@pytest.mark.parametrize(("length_unit", "input_unit"), [(1e-3, 1e-3), (1.0, 1.0), (1e-2, 0.5)])
+@pytest.mark.parametrize("inputs", [1, 2])
+def test_tables_are_converted_for_any_units_and_any_number_of_inputs(tmp_path, length_unit, input_unit, inputs):
+    path = write(tmp_path / "model.mat", {"B": np.arange(1.0, 1 + 3 * inputs).reshape(3, inputs)})
+    assert_same_predictions(path, length_unit, input_unit)
+
+
+def test_the_trusted_range_and_the_substeps_are_those_asked_for(tmp_path):
+    model = read_ssmr_model(write(tmp_path / "model.mat"), state_scale=0.03, substeps=4)
+    np.testing.assert_array_equal(model.state_scale, np.full(3, 0.03))
+    assert (model.substeps, model.control_degree, model.delays, model.output_dim, model.input_dim) == (4, 0, 1, 3, 2)
+    assert (model.parametrization_degree, model.chart_degree, model.dynamics_degree) == (2, 1, 3)
+
+
+@pytest.mark.parametrize(("model", "params", "message"), [
+    ({}, {"delays": 2}, "w has 6 rows, v 3, r 3, B 3, for 2 delays of 3 outputs; expected 9, n, n, n"),
+    ({"B": np.ones((2, 3))}, {}, "B 2"), ({"v_coeff": np.ones((4, 6))}, {}, "v 4, r 3"),
+    ({"r_coeff": np.ones((3, 10))}, {}, "r has 10 columns, which no full polynomial of 3 variables has"),
+    ({"w_coeff": np.ones((6, 4))}, {}, "w has 4 columns"),
+    ({"Ts": "fast"}, {}, "is not an SSMR model"), ({"B": {"odd": 1.0}}, {}, "is not an SSMR model")])
+def test_tables_that_do_not_fit_together_are_refused_with_the_numbers(tmp_path, model, params, message):
+    with pytest.raises(ValueError, match=message):
+        read_ssmr_model(write(tmp_path / "model.mat", model, params))
+
+
+def test_files_of_something_else_are_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no model file at .*absent.mat"):
+        read_ssmr_model(tmp_path / "absent.mat")
+    with pytest.raises(ValueError, match="expected the struct py_data.*failed at 'py_data'"):
+        read_ssmr_model(write(tmp_path / "other.mat", name="other"))
+    scipy.io.savemat(tmp_path / "flat.mat", {"py_data": np.ones(3)})
+    scipy.io.savemat(tmp_path / "half.mat", {"py_data": {"model": {"w_coeff": np.ones((2, 2))}}})
+    (tmp_path / "text.mat").write_text("w_coeff = [1 2 3]\n" * 20)
+    (tmp_path / "empty.mat").write_bytes(b"")
+    whole = write(tmp_path / "whole.mat").read_bytes()
+    (tmp_path / "cut.mat").write_bytes(whole[:len(whole) // 2])
+    for name in ("flat", "half", "text", "empty", "cut"):
+        with pytest.raises(ValueError, match=f"{name}.mat is not an SSMR model: expected the struct py_data"):
+            read_ssmr_model(tmp_path / f"{name}.mat")
