@@ -13,7 +13,7 @@ from ssmr_torch.provenance import provenance
 @entry_point("control")
 def main(config, directory):
     loaded, plant, task = artifact.load(config.artifact), instantiate(config.plant), instantiate(config.task)
-    artifact.check_plant(loaded, plant)
+    artifact.check_source(loaded, plant)
     controller = instantiate(config.controller)(loaded.model, task, plant.input_bounds, timestep=plant.timestep,
                                                 output_names=plant.output_names)
     origin = provenance(OmegaConf.to_container(config, resolve=True)) | {"model": loaded.card["name"],

@@ -10,9 +10,12 @@ from pathlib import Path
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
+from hydra.types import RunMode
 from omegaconf import OmegaConf
 
 OmegaConf.register_new_resolver("upper", str.upper, replace=True)
+
+THEIRS = ("MisconfigurationException",)  # Lightning's word for a trainer that cannot be had
 
 CONF = str(Path(__file__).resolve().parent.parent / "conf")
 
@@ -24,23 +27,34 @@ def entry_point(name: str):
         @functools.wraps(function)
         def task(config):
             quiet()
+            directory = Path(HydraConfig.get().runtime.output_dir)
             try:
-                return function(config, Path(HydraConfig.get().runtime.output_dir))
-            except InstantiationException as error:
-                raise SystemExit(f"{name}: {error.__cause__ or error}") from error
-            except (ValueError, FileNotFoundError) as error:
-                raise SystemExit(f"{name}: {error}") from error
+                return function(config, directory)
+            except Exception as error:
+                cause = error.__cause__ or error if isinstance(error, InstantiationException) else error
+                if not (isinstance(cause, (ValueError, OSError)) or type(cause).__name__ in THEIRS):
+                    raise
+                return refuse(f"{name}: {cause}", directory, error)
 
         return hydra.main(version_base="1.3", config_path=CONF, config_name=name)(task)
 
     return decorate
 
 
+def refuse(message: str, directory: Path, error: Exception) -> float:
+    """A single run ends here; a job of a sweep is recorded as failed with an infinite metric, and the sweep goes on."""
+    if HydraConfig.get().mode != RunMode.MULTIRUN:
+        raise SystemExit(message) from error
+    logging.getLogger(__name__).error(message)
+    save_result(directory, {"failed": message})
+    return float("inf")
+
+
 def quiet() -> None:
-    """Silence what third parties say about themselves: hardware that is not there, advertisements, deprecations."""
-    for name in ("lightning.pytorch.utilities.rank_zero", "lightning.pytorch.accelerators.cuda"):
-        logging.getLogger(name).setLevel(logging.WARNING)
-    warnings.filterwarnings("ignore", module="lightning|torch")
+    """Silence what Lightning says about absent hardware and its services, and deprecations inside it."""
+    logging.getLogger("lightning.pytorch.utilities.rank_zero").setLevel(logging.WARNING)
+    for message in (".*LeafSpec", ".*torch.jit.script", ".*does not have many workers", ".*Checkpoint directory"):
+        warnings.filterwarnings("ignore", message)
 
 
 def save_json(path: Path, content: dict) -> None:

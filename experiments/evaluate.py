@@ -17,6 +17,8 @@ def main(config, directory):
     loaded = [artifact.load(path) for path in paths]
     models = artifact.by_name(loaded)
     dataset = instantiate(config.data).observing(artifact.common_outputs(loaded))
+    for model in loaded:
+        artifact.check_source(model, dataset)
     runs = dataset.select(config.split, config.kind)
     if not runs:
         raise ValueError(f"no trajectory has split={config.split} and kind={config.kind}; "
@@ -26,14 +28,15 @@ def main(config, directory):
                                seed=config.seed, outputs=outputs)
     table = format_table(scores)
     (directory / "scores.txt").write_text(table + "\n")
+    origin = provenance(OmegaConf.to_container(config, resolve=True)) | {
+        "artifacts": {name: model.card["sha256"] for name, model in zip(models, loaded)}, "data": dataset.provenance}
     save_json(directory / "scores.json", {"scores": {name: score.as_dict() for name, score in scores.items()},
-                                          "provenance": provenance(OmegaConf.to_container(config, resolve=True))})
+                                          "provenance": origin})
     for name, figure in prediction_figures(models, scores, runs, dataset.output_names, outputs).items():
         figures.save(figure, directory / f"{name}.svg")
     print(f"{table}\n{directory / 'scores.json'}")
-    first = next(iter(scores.values())).horizons
-    save_result(directory, {f"rmse_{part.label.replace(' ', '')}": part.mean for part in first})
-    return first[-2].mean
+    save_result(directory, {f"{name}, {part.label}": part.mean for name in models for part in scores[name].horizons})
+    return scores[next(iter(models))].horizons[-2].mean
 
 
 if __name__ == "__main__":

@@ -18,8 +18,8 @@ class SweepTable(Callback):
             rows.append({"job": file.parent.name, "overrides": " ".join(result["overrides"]), **result["metrics"]})
         if not rows:
             return
-        columns = list(dict.fromkeys(column for row in rows for column in row))
-        first = columns[2] if len(columns) > 2 else "job"
+        columns = list(dict.fromkeys(column for row in sorted(rows, key=lambda row: "failed" in row) for column in row))
+        first = next((column for column in columns[2:] if column != "failed"), "job")
         rows.sort(key=lambda row: (row.get(first) is None, row.get(first)))
         with open(directory / "sweep.csv", "w", newline="") as file:
             writer = csv.DictWriter(file, columns)

@@ -3,6 +3,7 @@
 import lightning
 from entry import entry_point, save_json, save_result
 from hydra.utils import instantiate
+from lightning.pytorch.utilities import rank_zero_only
 from omegaconf import OmegaConf
 
 from ssmr_torch.evaluation import figures
@@ -17,18 +18,20 @@ def main(config, directory):
     dataset = instantiate(config.data).observing(config.outputs)
     loggers = [instantiate(logger) for logger in config.logger.values()]
     configuration = OmegaConf.to_container(config, resolve=True)
+    origin = provenance(configuration) | {"name": config.name}
     try:
         for logger in loggers:
             logger.log_hyperparams(configuration)
         training = train(dataset, model=instantiate(config.model), module=instantiate(config.module),
                          fits={name: instantiate(fit) for name, fit in config.fit.items()},
                          trainer=instantiate(config.trainer), directory=directory, name=config.name,
-                         loggers=loggers, resume=config.resume)
+                         loggers=loggers, resume=config.resume, origin=origin)
+        if rank_zero_only.rank > 0:
+            return None
     finally:
         for logger in loggers:
             logger.finalize("success")
             getattr(logger.experiment, "finish", lambda: None)()
-    origin = provenance(configuration) | {"name": config.name}
     save_json(directory / "report.json", training.report | {"scores": training.scores, "provenance": origin})
     for name, figure in training_figures(training.report).items():
         figures.save(figure, directory / f"{name}.svg")

@@ -36,23 +36,23 @@ class Artifact:
     card: dict
 
 
-def save(directory: str | Path, model: PolynomialTables, *, output_names, input_names, rest, input_bounds,
+def save(directory: str | Path, model: PolynomialTables, *, output_names, input_names, rest, input_range,
          input_unit: str = "N", name: str = "SSMR", provenance: dict | None = None,
          scores: dict | None = None) -> Path:
     """Write the artifact aside and move it into place; an artifact already there is replaced whole.
 
-    output_names (p,), input_names (m,), rest (p,) m, input_bounds (2, m): what the model was trained on.
+    output_names (p,), input_names (m,), rest (p,) m, input_range (2, m): what the model was trained on.
     Raises ValueError when these disagree with the model, a table is not finite, or the directory holds other files.
     """
     directory = Path(directory)
-    rest, bounds = np.asarray(rest, dtype=np.float64), np.asarray(input_bounds, dtype=np.float64)
+    rest, bounds = np.asarray(rest, dtype=np.float64), np.asarray(input_range, dtype=np.float64)
     _validate(model, output_names, input_names, rest, bounds)
     _refuse_foreign(directory)
     card = {"format": FORMAT, "kind": "polynomial", "name": name,
             "model": {scalar: getattr(model, scalar) for scalar in _SCALARS} | {"state_dim": model.state_dim},
             "units": {"length": "m", "time": "s", "input": input_unit},
             "output_names": list(output_names), "input_names": list(input_names), "rest": rest.tolist(),
-            "input_bounds": bounds.tolist(), "provenance": provenance or {}, "scores": scores or {}}
+            "input_range": bounds.tolist(), "provenance": provenance or {}, "scores": scores or {}}
     aside = directory.with_name(directory.name + ".part")
     shutil.rmtree(aside, ignore_errors=True)
     aside.mkdir(parents=True)
@@ -111,15 +111,15 @@ def common_outputs(artifacts: list[Artifact]) -> list[str]:
     return names[0]
 
 
-def check_plant(loaded: Artifact, plant) -> None:
-    """Raises ValueError when the plant's outputs, inputs or input unit are not those that the model was trained on."""
+def check_source(loaded: Artifact, source) -> None:
+    """Raises ValueError when a plant's or dataset's outputs, inputs or input unit are not those of the training."""
     card = loaded.card
-    for what, trained, found in (("outputs", card["output_names"], list(plant.output_names)),
-                                 ("inputs", card["input_names"], list(plant.input_names)),
-                                 ("input unit", card["units"]["input"], plant.input_unit)):
+    for what, trained, found in (("outputs", card["output_names"], list(source.output_names)),
+                                 ("inputs", card["input_names"], list(source.input_names)),
+                                 ("input unit", card["units"]["input"], source.input_unit)):
         if trained != found:
-            raise ValueError(f"the model was trained with {what} {trained}, the plant has {found}; "
-                             "train on data from this plant, or choose the plant that the data came from")
+            raise ValueError(f"the model was trained with {what} {trained}, here they are {found}; "
+                             "use the plant or data that it was trained on, or train again")
 
 
 def _validate(model: PolynomialTables, output_names, input_names, rest: np.ndarray, bounds: np.ndarray) -> None:

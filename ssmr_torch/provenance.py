@@ -22,6 +22,12 @@ def provenance(configuration: dict | None = None) -> dict:
     return record
 
 
+def fingerprint(path: str | Path) -> dict:
+    """Name and SHA-256 of a file, read in stretches."""
+    with open(path, "rb") as file:
+        return {"file": Path(path).name, "sha256": hashlib.file_digest(file, "sha256").hexdigest()}
+
+
 def _commit() -> str | None:
     here = Path(__file__).parent
     try:

@@ -9,6 +9,7 @@ import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 
 import h5py
@@ -87,9 +88,8 @@ class StoredTrajectory:
         """Observations and inputs of the samples start ≤ k < stop."""
         start, stop, _ = slice(start, stop).indices(self.length)
         rows = slice(self.first + start, self.first + max(start, stop))
-        with h5py.File(self.path, "r") as file:
-            group = file[self.key]
-            return self._observed(group["observation"][rows]), group["input"][rows]
+        group = _opened(self.path)[self.key]
+        return self._observed(group["observation"][rows]), group["input"][rows]
 
     def observing(self, columns: Sequence[int]) -> StoredTrajectory:
         """The same run seen through these columns of the observation."""
@@ -108,10 +108,9 @@ class StoredTrajectory:
 
     def read(self) -> Trajectory:
         rows = slice(self.first, self.first + self.length)
-        with h5py.File(self.path, "r") as file:
-            group = file[self.key]
-            return Trajectory(group["time"][rows], self._observed(group["observation"][rows]), group["input"][rows],
-                              self.kind, self.split, self.name)
+        group = _opened(self.path)[self.key]
+        return Trajectory(group["time"][rows], self._observed(group["observation"][rows]), group["input"][rows],
+                          self.kind, self.split, self.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,6 +243,17 @@ def _own(array) -> np.ndarray:
     copy = np.array(array, dtype=np.float64)
     copy.setflags(write=False)
     return copy
+
+
+def _opened(path: Path) -> h5py.File:
+    """The file, kept open for reading: opening takes fifty times as long as reading a window."""
+    status = os.stat(path)
+    return _open_once(path, status.st_ino, status.st_mtime_ns, os.getpid())
+
+
+@lru_cache(maxsize=4)
+def _open_once(path: Path, inode: int, modified: int, process: int) -> h5py.File:
+    return h5py.File(path, "r")
 
 
 def _validate(trajectory: Trajectory) -> None:

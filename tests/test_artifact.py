@@ -16,7 +16,7 @@ from ssmr_torch.models.monomials import count_monomials
 from ssmr_torch.models.polynomial_tables import PolynomialTables
 
 DATA = {"output_names": ["x", "y", "z"], "input_names": ["u1", "u2"], "rest": [0.1, 0.0, 1 / 3],
-        "input_bounds": [[0.0, -1.0], [1.0, 2.0]]}
+        "input_range": [[0.0, -1.0], [1.0, 2.0]]}
 
 
 def tables(n=4, m=2, p=3, delays=2, chart=1, parametrization=2, dynamics=3, control=1, seed=0):
@@ -212,8 +212,8 @@ def test_a_save_that_is_interrupted_leaves_the_old_artifact_as_it_was(saved, mon
 @pytest.mark.parametrize(("change", "message"), [
     ({"output_names": ["x"]}, "1 output names and a rest of shape \\(3,\\) for a model of 3 outputs"),
     ({"rest": [0.0]}, "rest of shape \\(1,\\)"), ({"input_names": []}, "0 input names"),
-    ({"input_bounds": [[0.0], [1.0]]}, "bounds of shape \\(2, 1\\) for a model of 2 inputs"),
-    ({"input_bounds": [[0.0, 1.0], [1.0, 1.0]]}, "the lower below the upper")])
+    ({"input_range": [[0.0], [1.0]]}, "bounds of shape \\(2, 1\\) for a model of 2 inputs"),
+    ({"input_range": [[0.0, 1.0], [1.0, 1.0]]}, "the lower below the upper")])
 def test_a_card_that_contradicts_the_model_is_refused_before_anything_is_written(tmp_path, change, message):
     with pytest.raises(ValueError, match=message):
         artifact.save(tmp_path / "model", MODELS["curved"], **(DATA | change))
@@ -238,13 +238,13 @@ def test_models_are_told_apart_by_name_and_compared_on_the_same_outputs_only(sav
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    ({"output_names": ("x", "y", "tip")}, "outputs \\['x', 'y', 'z'\\], the plant has \\['x', 'y', 'tip'\\]"),
-    ({"input_names": ("u1",)}, "inputs"), ({"input_unit": "N"}, "input unit 1, the plant has N")])
+    ({"output_names": ("x", "y", "tip")}, "outputs \\['x', 'y', 'z'\\], here they are \\['x', 'y', 'tip'\\]"),
+    ({"input_names": ("u1",)}, "inputs"), ({"input_unit": "N"}, "input unit 1, here they are N")])
 def test_a_plant_of_other_outputs_inputs_or_units_is_refused(saved, change, message):
     plant = {"output_names": ("x", "y", "z"), "input_names": ("u1", "u2"), "input_unit": "1"}
-    artifact.check_plant(artifact.load(saved), SimpleNamespace(**plant))
+    artifact.check_source(artifact.load(saved), SimpleNamespace(**plant))
     with pytest.raises(ValueError, match=message):
-        artifact.check_plant(artifact.load(saved), SimpleNamespace(**(plant | change)))
+        artifact.check_source(artifact.load(saved), SimpleNamespace(**(plant | change)))
 
 
 def test_an_artifact_runs_where_no_training_library_is_installed(saved):

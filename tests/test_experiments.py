@@ -91,13 +91,36 @@ def test_the_same_seed_gives_the_same_scores_to_the_last_digit(line):
 
 
 @pytest.mark.slow
-def test_training_resumes_from_its_checkpoint_and_can_be_refined_by_rollouts(line):
-    before = json.loads((line / "again" / "result.json").read_text())["metrics"]
-    run("train", "model=ssmr", "data.path=collect/trajectories.h5", *QUIET, "fit=rollout",
-        "fit.refinement.epochs=2", "module.stride=40", "resume=true", "hydra.run.dir=again", cwd=line)
-    after = json.loads((line / "again" / "result.json").read_text())["metrics"]
-    assert after["validation/rmse"] <= 1.2 * before["validation/rmse"]
-    assert (line / "again" / "checkpoints" / "refinement" / "best.ckpt").is_file()
+def test_training_resumes_as_it_was_begun_and_can_be_refined_by_rollouts(line):
+    same = ["model=ssmr", "data.path=collect/trajectories.h5", *QUIET, "module.stride=40", "hydra.run.dir=refined"]
+    run("train", *same, cwd=line)
+    before = json.loads((line / "refined" / "result.json").read_text())["metrics"]
+    run("train", *same, "fit=rollout", "fit.refinement.epochs=2", "resume=true", cwd=line)
+    after = json.loads((line / "refined" / "result.json").read_text())["metrics"]
+    assert after["validation/rmse"] <= before["validation/rmse"]
+    assert (line / "refined" / "checkpoints" / "refinement" / "best.ckpt").is_file()
+    changed = start("train", *same, "model.delays=2", "resume=true", cwd=line)
+    assert "was begun with model.delays=1, now it is 2" in changed.stderr and "Traceback" not in changed.stderr
+    elsewhere = start("train", *same[:-1], "resume=true", "hydra.run.dir=elsewhere", cwd=line)
+    assert "there are no checkpoints below" in elsewhere.stderr
+
+
+@pytest.mark.slow
+def test_a_job_that_fails_leaves_the_rest_of_its_sweep_and_the_table(line):
+    run("train", "-m", "model.state_dim=99,6", "data.path=collect/trajectories.h5", *QUIET, "hydra.sweep.dir=sweep",
+        cwd=line)
+    with open(line / "sweep" / "sweep.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["job"] for row in rows] == ["1", "0"] and float(rows[0]["validation/rmse"]) > 0
+    assert "fewer than the 99 reduced coordinates" in rows[1]["failed"]
+
+
+@pytest.mark.slow
+def test_two_processes_started_by_the_entry_point_give_the_scores_of_one(line):
+    run("train", "model=ssmr", "data.path=collect/trajectories.h5", *QUIET, "trainer=ddp", "hydra.run.dir=ddp",
+        cwd=line)
+    alone, both = (json.loads((line / at / "result.json").read_text())["metrics"] for at in ("train/0", "ddp"))
+    assert both == pytest.approx(alone, rel=1e-6)
 
 
 @pytest.mark.slow
@@ -110,6 +133,7 @@ def test_training_resumes_from_its_checkpoint_and_can_be_refined_by_rollouts(lin
     ("evaluate", ["artifact=collect", "data.path=collect/trajectories.h5"], "no artifact at collect"),
     ("export", [], "give either checkpoint=FILE.ckpt or mat=FILE.mat"),
     ("export", ["checkpoint=collect/trajectories.h5"], "is not a checkpoint"),
+    ("train", ["data.path=collect/trajectories.h5", "model.chart_degree=2"], "set detection_delays above"),
     ("control", ["artifact=export/0/artifact", "task.tracked=[nose]"], "tracks 'nose'"),
     ("report", ["directory=collect"], "nothing to report below"),
 ])

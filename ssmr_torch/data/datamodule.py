@@ -12,6 +12,7 @@ from ssmr_torch.trajectory import TrajectoryDataset
 class TrajectoryDataModule(lightning.LightningDataModule):
     """Segments for closed-form fits, rollouts for gradient fits, the same validation and test starts for both.
 
+    Static set points are left out: they are no dynamics.
     validation_share: tail of every controlled training run that is held out when no run is marked "validation".
     transient: s cut from the start of each training decay. rows: core samples per segment.
     rollout_horizon, validation_horizon: s. starts: seeded validation and test starts. batch_size: rollouts per step.
@@ -32,7 +33,7 @@ class TrajectoryDataModule(lightning.LightningDataModule):
         self.rollout_horizon, self.validation_horizon = float(rollout_horizon), float(validation_horizon)
         self.batch_size, self.stride, self.seed, self.num_workers = batch_size, stride, seed, num_workers
         self.training, self.validation = _hold_out(dataset, validation_share)
-        self.test = dataset.select(split="test")
+        self.test = tuple(run for run in dataset.select(split="test") if run.kind != "static")
         self.procedure, self.delays = None, 0
 
     def prepare(self, fit) -> TrajectoryDataModule:
@@ -90,7 +91,8 @@ class TrajectoryDataModule(lightning.LightningDataModule):
 
 
 def _hold_out(dataset: TrajectoryDataset, share: float) -> tuple[tuple, tuple]:
-    training, validation = dataset.select(split="train"), dataset.select(split="validation")
+    training, validation = (tuple(run for run in dataset.select(split=split) if run.kind != "static")
+                            for split in ("train", "validation"))
     if validation or share == 0:
         return training, validation
     kept, held = [], []

@@ -1,5 +1,4 @@
-"""Figures of fits, predictions and closed loops. SI in; mm, ms and % on the axes. The only file that draws.
-"""
+"""Figures of fits, predictions and closed loops. SI in; mm, ms and % on the axes. The only file that draws."""
 
 from __future__ import annotations
 
@@ -76,11 +75,10 @@ def svg(figure: Figure) -> str:
 
 @_styled
 def singular_values(values: np.ndarray, dimension: int) -> Figure:
-    """σ_i / σ_1, the variance 1 − Σ_{j≤i} σ_j² / Σ σ_j² left out (%), and the gaps σ_i / σ_{i+1}, over the
-    mode i.
+    """σ_i / σ_1, the variance 1 − Σ_{j≤i} σ_j² / Σ σ_j² left out (%), and the gaps σ_i / σ_{i+1}, over the mode i.
 
-    values: (K,) singular values, descending; dimension: the number of modes kept, marked. Raises ValueError
-    when the values are not positive and descending, or fewer than dimension.
+    values: (K,) singular values, descending; dimension: the number of modes kept, marked.
+    Raises ValueError when the values are not positive and descending, or fewer than dimension.
     """
     values = np.asarray(values, dtype=np.float64)
     descending = values.ndim == 1 and (values > 0).all() and (np.diff(values) <= 0).all()
@@ -89,8 +87,7 @@ def singular_values(values: np.ndarray, dimension: int) -> Figure:
                          "values in descending order, K >= 2, and 1 <= dimension <= K")
     left_out = 100 * np.cumsum(values[::-1] ** 2)[::-1][1:] / (values ** 2).sum()
     mode = np.arange(1, len(values) + 1)
-    figure = Figure(figsize=(WIDTH, 2.3), layout="constrained")
-    spectrum, remainder, gaps = figure.subplots(1, 3, sharex=True)
+    figure, (spectrum, remainder, gaps) = _panels(WIDTH, 2.3, 1, 3, sharex=True)
     for axes, x, y, title in ((spectrum, mode, values / values[0], r"singular value $\sigma_i/\sigma_1$ (–)"),
                               (remainder, mode[:-1], left_out, "variance left out (%)")):
         axes.semilogy(x, y, "o-", color="#999999", markersize=3.5)
@@ -111,8 +108,7 @@ def singular_values(values: np.ndarray, dimension: int) -> Figure:
 @_styled
 def eigenvalues(spectra: Mapping[str, np.ndarray], reference: np.ndarray | None = None) -> Figure:
     """Eigenvalues (1/s) of the reduced dynamics' linear part, per method; a reference as open circles."""
-    figure = Figure(figsize=(WIDTH / 2, 2.8), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = _panels(WIDTH / 2, 2.8)
     axes.axvline(0.0, color="#666666", linewidth=0.8)
     if reference is not None:
         axes.plot(np.real(reference), np.imag(reference), "o", color="black", fillstyle="none", markersize=9,
@@ -120,8 +116,7 @@ def eigenvalues(spectra: Mapping[str, np.ndarray], reference: np.ndarray | None 
     palette = colours(spectra)
     for (name, values), marker in zip(spectra.items(), "o^sDvPX" * len(spectra)):
         axes.plot(np.real(values), np.imag(values), marker, color=palette[name], markersize=4.5, label=name)
-    axes.set_xlabel(r"real part $\mathrm{Re}\,\lambda$ (1/s)")
-    axes.set_ylabel(r"imaginary part $\mathrm{Im}\,\lambda$ (rad/s)")
+    axes.set(xlabel=r"real part $\mathrm{Re}\,\lambda$ (1/s)", ylabel=r"imaginary part $\mathrm{Im}\,\lambda$ (rad/s)")
     axes.margins(0.12)
     _legend(figure, axes)
     return figure
@@ -129,22 +124,19 @@ def eigenvalues(spectra: Mapping[str, np.ndarray], reference: np.ndarray | None 
 
 @_styled
 def prediction(time: np.ndarray, measured: np.ndarray, predicted: Mapping[str, tuple[np.ndarray, np.ndarray]],
-               output_names: Sequence[str]) -> Figure:
-    """Each output (mm) over time (s): measured, and what each model predicts from one start without
-    correction.
+               output_names: Sequence[str], target: str = "measured") -> Figure:
+    """Each output (mm) over time (s): measured, and what each model predicts from one start without correction.
 
-    time: (T,) s; measured: (T, p) m; predicted: name → (time (H,) s, outputs (H, p) m). The axes follow what
-    was
-    measured: a diverging prediction leaves them.
+    time: (T,) s; measured: (T, p) m; predicted: name → (time (H,) s, outputs (H, p) m). The axes follow what was
+    measured: a diverging prediction leaves them. target: what the measured line is called.
     """
     measured = np.asarray(measured)
     _match_columns(measured, output_names)
-    figure = Figure(figsize=(WIDTH, 0.7 + 1.15 * len(output_names)), layout="constrained")
-    rows = figure.subplots(len(output_names), 1, sharex=True, squeeze=False)[:, 0]
+    figure, grid = _panels(WIDTH, 0.7 + 1.15 * len(output_names), len(output_names), 1, sharex=True, squeeze=False)
+    rows = grid[:, 0]
     palette = colours(predicted)
     for column, (axes, label) in enumerate(zip(rows, output_names)):
-        axes.plot(time, MM * measured[:, column], color=METHODS["measured"][0], linewidth=2.2, alpha=0.35,
-                  label="measured")
+        axes.plot(time, MM * measured[:, column], color=METHODS["measured"][0], linewidth=2.2, alpha=0.35, label=target)
         low, high = MM * measured[:, column].min(), MM * measured[:, column].max()
         for name, (at, outputs) in predicted.items():
             axes.plot(at, MM * np.asarray(outputs)[:, column], _line(name), color=palette[name], label=name)
@@ -158,14 +150,12 @@ def prediction(time: np.ndarray, measured: np.ndarray, predicted: Mapping[str, t
 
 @_styled
 def error_over_horizon(horizons: np.ndarray, errors: Mapping[str, np.ndarray]) -> Figure:
-    """Mean RMSE (mm) over the prediction horizon (s), both logarithmic; a cross where rollouts begin to
-    diverge.
+    """Mean RMSE (mm) over the prediction horizon (s), both logarithmic; a cross where rollouts begin to diverge.
 
     horizons: (K,) s; errors: name → (K,) m, infinite where a rollout diverged.
     """
     horizons = np.asarray(horizons)
-    figure = Figure(figsize=(WIDTH / 2 + 0.6, 3.0), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = _panels(WIDTH / 2 + 0.6, 3.0)
     palette = colours(errors)
     for name, values in errors.items():
         values = np.asarray(values, dtype=np.float64)
@@ -174,8 +164,7 @@ def error_over_horizon(horizons: np.ndarray, errors: Mapping[str, np.ndarray]) -
         axes.loglog(horizons[:end], MM * values[:end], color=palette[name], linestyle=_line(name), marker="o",
                     markersize=3, label=name if finite.all() else f"{name} (× diverges)")
         if 0 < end < len(values):
-            axes.plot(horizons[end - 1], MM * values[end - 1], "x", color=palette[name], markersize=9,
-                      markeredgewidth=2)
+            axes.plot(horizons[end - 1], MM * values[end - 1], "x", color=palette[name], markersize=9, markeredgewidth=2)
     axes.set(xlabel="prediction horizon (s)", ylabel="mean RMSE (mm)")
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     for axis in (axes.xaxis, axes.yaxis):
@@ -192,8 +181,7 @@ def tracking(time: np.ndarray, reference: np.ndarray, paths: Mapping[str, np.nda
 
     time: (T,) s; reference: (T, 2) m; paths: name → (T, 2) m; obstacles: (O, 3) centre and radius, m.
     """
-    figure = Figure(figsize=(WIDTH, 3.1), layout="constrained")
-    plane, error = figure.subplots(1, 2, width_ratios=(1.0, 1.25))
+    figure, (plane, error) = _panels(WIDTH, 3.1, 1, 2, width_ratios=(1.0, 1.25))
     for x, y, radius in () if obstacles is None else MM * np.asarray(obstacles):
         plane.add_patch(Circle((x, y), radius, facecolor="#DDDDDD", edgecolor="#888888", linewidth=0.8))
     palette = colours(paths)
@@ -202,8 +190,7 @@ def tracking(time: np.ndarray, reference: np.ndarray, paths: Mapping[str, np.nda
         plane.plot(*MM * np.asarray(path).T, **line)
         error.semilogy(time, MM * np.linalg.norm(path - reference, axis=1), linewidth=1.0, **line)
     colour, style = METHODS["reference"]
-    plane.plot(*MM * np.asarray(reference).T, style, color=colour, linewidth=1.0, zorder=3,
-               label="reference")
+    plane.plot(*MM * np.asarray(reference).T, style, color=colour, linewidth=1.0, zorder=3, label="reference")
     largest = MM * max(np.linalg.norm(path - reference, axis=1).max() for path in paths.values())
     error.set_ylim(bottom=max(1e-3 * largest, 1e-9))
     plane.set(xlabel=f"{axis_names[0]} (mm)", ylabel=f"{axis_names[1]} (mm)")
@@ -222,8 +209,7 @@ def inputs(time: np.ndarray, commands: Mapping[str, np.ndarray], bounds: np.ndar
     _match_columns(bounds, input_names)
     columns = min(4, len(input_names))
     rows = -(-len(input_names) // columns)
-    figure = Figure(figsize=(WIDTH, 0.6 + 1.5 * rows), layout="constrained")
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    figure, grid = _panels(WIDTH, 0.6 + 1.5 * rows, rows, columns, sharex=True, sharey=True, squeeze=False)
     palette = colours(commands)
     label = "–" if unit == "1" else unit
     for index, axes in enumerate(grid.flat):
@@ -234,8 +220,7 @@ def inputs(time: np.ndarray, commands: Mapping[str, np.ndarray], bounds: np.ndar
             axes.step(time, np.asarray(command)[:, index], where="post", color=palette[name], linewidth=1.0,
                       zorder=2.5 - below / len(commands), label=name)
         for row, bound in enumerate(bounds[:, index]):
-            axes.axhline(bound, color="black", linestyle=(0, (4, 3)), linewidth=0.8,
-                         label=None if row else "bounds")
+            axes.axhline(bound, color="black", linestyle=(0, (4, 3)), linewidth=0.8, label=None if row else "bounds")
         axes.set(title=input_names[index], xlim=(time[0], time[-1]))
         if index + columns >= len(input_names):
             axes.set_xlabel("time (s)")
@@ -248,13 +233,11 @@ def inputs(time: np.ndarray, commands: Mapping[str, np.ndarray], bounds: np.ndar
 
 @_styled
 def solve_times(times: Mapping[str, np.ndarray], period: float) -> Figure:
-    """Solve times (ms, logarithmic) per method against the control period; box: quartiles, whiskers: 1 and 99
-    %.
+    """Solve times (ms, logarithmic) per method against the control period; box: quartiles, whiskers: 1 and 99 %.
 
     times: name → (K,) s; period: s.
     """
-    figure = Figure(figsize=(WIDTH * 0.7, 0.9 + 0.32 * len(times)), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = _panels(WIDTH * 0.7, 0.9 + 0.32 * len(times))
     names = list(times)[::-1]
     palette = colours(names)
     boxes = axes.boxplot([MS * np.asarray(times[name]) for name in names], orientation="horizontal",
@@ -265,8 +248,7 @@ def solve_times(times: Mapping[str, np.ndarray], period: float) -> Figure:
         fliers.set(markeredgecolor=palette[name], markerfacecolor=palette[name])
     axes.set_xscale("log")
     axes.set_yticks(range(1, len(names) + 1), names)
-    axes.axvline(MS * period, color="black", linestyle="--", linewidth=1.0,
-                 label=f"control period, {MS * period:g} ms")
+    axes.axvline(MS * period, color="black", linestyle="--", linewidth=1.0, label=f"control period, {MS * period:g} ms")
     axes.set_xlabel("solve time (ms)")
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.grid(False, axis="y")
@@ -281,8 +263,7 @@ def ise_bars(ise: Mapping[str, Mapping[str, float]]) -> Figure:
     An infinite one is marked as failed; one that is missing leaves a gap.
     """
     methods = list(dict.fromkeys(method for row in ise.values() for method in row))
-    figure = Figure(figsize=(min(WIDTH, 2.0 + 0.4 * len(methods) * len(ise)), 2.7), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = _panels(min(WIDTH, 2.0 + 0.4 * len(methods) * len(ise)), 2.7)
     width = 0.82 / len(methods)
     palette = colours(methods)
     lowest = MM ** 2 * min((v for row in ise.values() for v in row.values() if 0 < v < np.inf), default=1.0)
@@ -294,12 +275,17 @@ def ise_bars(ise: Mapping[str, Mapping[str, float]]) -> Figure:
         for x in at[np.isinf(heights)]:
             axes.annotate("failed", (x, lowest), rotation=90, ha="center", va="bottom", color=palette[method])
     axes.set_yscale("log")
-    axes.set(xlim=(-0.5, len(ise) - 0.5), ylim=(lowest / 2, None))
+    axes.set(xlim=(-0.5, len(ise) - 0.5), ylim=(lowest / 2, None), ylabel="ISE (mm²)")
     axes.set_xticks(np.arange(len(ise)), list(ise))
-    axes.set_ylabel("ISE (mm²)")
     axes.grid(False, axis="x")
     _legend(figure, axes)
     return figure
+
+
+def _panels(width: float, height: float, *grid: int, **options):
+    """A figure of a size in inches and its axes: one, or as many as `Figure.subplots` gives."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots(*grid, **options)
 
 
 def _line(name: str) -> str:

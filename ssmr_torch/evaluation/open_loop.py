@@ -110,6 +110,8 @@ def score_open_loop(model, trajectories: Iterable, *, horizons: Sequence[float] 
     outputs exceeds 10 times the largest measured ‖y‖. Raises ValueError when timesteps or columns do not
     match or no trajectory is long enough.
     """
+    if not horizons:
+        raise ValueError("no horizons were given; expected at least one, in s")
     recording = Recording.of(trajectories)
     forecaster = Forecaster(as_predictor(model), recording)
     needed = max(1, forecaster.reach)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-DIVERGENCE_FACTOR = 10.0
+from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,9 @@ class Predictor:
 
 
 def numpy_predictor(model) -> Predictor:
-    """A model in NumPy: encode(window, inputs), rollout(z, inputs) → (N, H + 1, n), decode(z), state_scale
-    (n,).
+    """A model in NumPy: encode(window, inputs), rollout(z, inputs) → (N, H + 1, n), decode(z), state_scale (n,).
 
-    As in Torch, a rollout has diverged once ‖z‖ is not within 10 ‖state_scale‖.
+    As in Torch, a rollout has diverged once ‖z‖ is not within `DIVERGENCE_FACTOR` ‖state_scale‖.
     """
     bound = DIVERGENCE_FACTOR * np.linalg.norm(model.state_scale)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,34 +12,52 @@ from ssmr_torch.closed_loop import ClosedLoopRecord
 from ssmr_torch.evaluation import figures
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.evaluation.open_loop import OpenLoopScore
+from ssmr_torch.evaluation.predictors import BASELINES
 from ssmr_torch.evaluation.report import Picture, Section, Table
 from ssmr_torch.evaluation.rollouts import predict_trajectory
+
+# as many as there are colours for names without a fixed one
+PATHS_PER_FIGURE = len(figures.SPARE_COLOURS)
 
 
 def prediction_figures(models: Mapping[str, object], scores: Mapping[str, OpenLoopScore], runs: Sequence,
                        output_names: Sequence[str], outputs: Sequence[int], shown: float = 4.0) -> dict:
-    """Error over the horizon, and the first `shown` s of each model's rollout over the longest controlled run."""
-    horizons = np.array([part.duration for part in next(iter(scores.values())).horizons[:-1]])
-    errors = {name: np.array([part.mean for part in score.horizons[:-1]]) for name, score in scores.items()}
-    run = max(runs, key=lambda trajectory: (trajectory.kind == "controlled", trajectory.length))
-    run = run.part(0, min(run.length, max(round(shown / run.timestep), 3 + max(m.delays for m in models.values()))))
-    run = run.read()
+    """Error over the horizon, where there is any but the full rollout, and the first `shown` s of each model's
+    rollout over the longest controlled run, all from the scores' common margin. Of more than six models the first.
+    """
+    first = next(iter(scores.values()))
+    models = dict(list(models.items())[:PATHS_PER_FIGURE])
+    scores = {name: score for name, score in scores.items() if name in models or name in BASELINES}
+    longest_step = max(model.timestep for model in models.values())
+
+    def needed(run) -> int:
+        return first.margin + 1 + round(longest_step / run.timestep)
+
+    run = max(runs, key=lambda run: (run.length >= needed(run), run.kind == "controlled", run.length))
+    run = run.part(0, min(run.length, max(needed(run), first.margin + 1 + round(shown / run.timestep)))).read()
     predicted = {}
     for name, model in models.items():
-        time, states = predict_trajectory(model, run)
+        time, states = predict_trajectory(model, run, margin=first.margin)
         predicted[name] = (time, states[:, outputs])
-    overlay = figures.prediction(run.time, run.observation[:, outputs], predicted, [output_names[i] for i in outputs])
-    return {"error_over_horizon": figures.error_over_horizon(horizons, errors), "prediction": overlay}
+    drawn = {"prediction": figures.prediction(run.time, run.observation[:, outputs], predicted,
+                                              [output_names[i] for i in outputs])}
+    if len(first.horizons) > 1:
+        errors = {name: np.array([part.mean for part in score.horizons[:-1]]) for name, score in scores.items()}
+        drawn["error_over_horizon"] = figures.error_over_horizon(
+            np.array([part.duration for part in first.horizons[:-1]]), errors)
+    return drawn
 
 
 def training_figures(report: Mapping[str, Mapping]) -> dict:
-    """Singular values and eigenvalues of the fits that found them."""
+    """Singular values and eigenvalues of the fits that found them; singular values of zero are not drawn."""
     drawn = {}
     for fit in report.values():
-        if "singular_values" in fit:
-            drawn["singular_values"] = figures.singular_values(np.array(fit["singular_values"]), fit["state_dim"])
+        values = np.array(fit.get("singular_values") or [])
+        values = values[values > 0]
+        if len(values) >= max(2, fit["state_dim"] if len(values) else 0):
+            drawn["singular_values"] = figures.singular_values(values, fit["state_dim"])
     spectra = {step.replace("_", " "): np.array(fit["eigenvalues"]) @ np.array([1.0, 1.0j])
-               for step, fit in report.items() if "eigenvalues" in fit}
+               for step, fit in report.items() if fit.get("eigenvalues")}
     if spectra:
         drawn["eigenvalues"] = figures.eigenvalues(spectra)
     return drawn
@@ -48,15 +66,17 @@ def training_figures(report: Mapping[str, Mapping]) -> dict:
 def collect_sections(directory: str | Path) -> list[Section]:
     """Closed-loop records, open-loop scores and training reports found below a directory, as sections.
 
+    Records of one task, plant, noise and control period share a section, each with a row of its own.
     Raises ValueError when there are none.
     """
     directory = Path(directory)
-    records = [ClosedLoopRecord.load(path) for path in sorted(directory.rglob("record.h5"))]
-    scored = sorted(directory.rglob("scores.json"))
-    trained = sorted(directory.rglob("report.json"))
-    sections = [closed_loop_section(records)] if records else []
-    sections += [open_loop_section(path) for path in scored]
-    sections += [training_section(path) for path in trained]
+    alike: dict[tuple, list[ClosedLoopRecord]] = {}
+    for path in sorted(directory.rglob("record.h5")):
+        record = ClosedLoopRecord.load(path)
+        alike.setdefault(_setting(record), []).append(record)
+    sections = [closed_loop_section(records) for records in alike.values()]
+    sections += [open_loop_section(path) for path in sorted(directory.rglob("scores.json"))]
+    sections += [training_section(path) for path in sorted(directory.rglob("report.json"))]
     if not sections:
         raise ValueError(f"nothing to report below {directory}: no record.h5, scores.json or report.json; "
                          "run train.py, evaluate.py or control.py with hydra.run.dir below it")
@@ -64,79 +84,159 @@ def collect_sections(directory: str | Path) -> list[Section]:
 
 
 def closed_loop_section(records: Sequence[ClosedLoopRecord]) -> Section:
-    """Tracking table and figures; the records share task and plant."""
-    by_model = {record.provenance.get("model", f"model {i + 1}"): record for i, record in enumerate(records)}
-    first = records[0]
-    task, plant, noise = (first.provenance[key] for key in ("task", "plant", "noise_std"))
-    rows = []
-    for name, record in by_model.items():
-        values = closed_loop_metrics(record)
-        rows.append([name, 1e6 * values["ise"], 1e3 * values["rmse"], 1e3 * values["max_error"],
-                     1e3 * values["solve_time_median"], 1e3 * values["solve_time_p99"], int(values["fallbacks"])])
-    period = first.provenance["period"]
-    planar = len(first.tracked) == 2
-    count = f"{len(first.time)} samples of one run per model"
-    parts = [f"Task: {task}, {first.time[-1]:.1f} s, on the plant {plant}, measured with white noise of "
-             f"{1e3 * noise:.3g} mm. The controller runs the exported artifact and plans every {1e3 * period:g} ms. "
+    """Tracking table, one row per record, and figures of the first six.
+
+    Equal model names are numbered, and different seeds are shown. A record whose errors do not exist, as it broke
+    off or is too short, has an empty row and is not drawn; the text says why.
+    Raises ValueError when the records differ in task, plant, noise or control period.
+    """
+    if len({_setting(record) for record in records}) != 1:
+        raise ValueError(f"{len(records)} records of {len({_setting(r) for r in records})} settings (task, plant, "
+                         "noise, control period); expected one, give each setting a section of its own")
+    origin = records[0].provenance
+    runs = dict(zip(_unique(record.provenance.get("model", "model") for record in records), records))
+    measured, missing = {}, []
+    for name, record in runs.items():
+        try:
+            measured[name] = closed_loop_metrics(record)
+        except ValueError as error:
+            missing.append(f"{name} has no errors: {error}.")
+    drawn = {name: runs[name] for name in list(measured)[:PATHS_PER_FIGURE]}
+    settings = ", ".join(f"{key} {value}" for key, value in _plant_settings(records[0]).items() if key != "_target_")
+    parts = [f"Task: {origin['task']}, {records[0].time[-1]:.1f} s, on the plant {origin['plant']}"
+             f"{f' ({settings})' if settings else ''}, measured with white noise of {1e3 * origin['noise_std']:.3g} mm. "
+             f"The controller runs the exported artifact and plans every {1e3 * origin['period']:g} ms. "
              "Errors count from 1 s on; ISE is the sum of squared errors over the samples.",
-             Table(["model", "ISE (mm²)", "RMSE (mm)", "max (mm)", "solve (ms)", "99 % (ms)", "fallbacks"], rows,
-                   "Tracking in closed loop: errors, median and 99 % solve time, fallbacks.")]
-    if planar:
-        names = tuple(first.output_names[i] for i in first.tracked)
-        paths = {name: record.observation[:, list(record.tracked)] for name, record in by_model.items()}
-        parts.append(Picture(figures.tracking(first.time, first.reference, paths, names),
-                             "Path in the task's plane, and tracking error.", count, "mm"))
-    bounds = np.array(first.provenance["input_bounds"])
-    parts.append(Picture(figures.inputs(first.time, {n: r.input for n, r in by_model.items()}, bounds,
-                                        first.input_names, first.input_unit), "Inputs and their bounds.", count,
-                         first.input_unit if first.input_unit != "1" else "share of full command"))
-    times = {name: record.solve_time[np.isfinite(record.solve_time)] for name, record in by_model.items()}
-    parts.append(Picture(figures.solve_times(times, period), "Time in the controller at each control step.",
-                         f"{len(next(iter(times.values())))} steps per model", "ms"))
-    return Section("Closed loop", parts)
+             *missing, *_first_of(len(drawn), len(measured), "runs"), _tracking_table(runs, measured)]
+    return Section(f"Closed loop: {origin['task']}", parts + (_tracking_pictures(drawn) if drawn else []))
 
 
 def open_loop_section(path: Path) -> Section:
     """Table and figures of one evaluation."""
     stored = json.loads(path.read_text())
-    scores = stored["scores"]
-    horizons = next(iter(scores.values()))["horizons"]
+    scores = {name: {part["label"]: part for part in score["horizons"] or []}
+              for name, score in stored["scores"].items()}
+    labels = list(dict.fromkeys(label for parts in scores.values() for label in parts))
     rows = []
-    for name, score in scores.items():
-        means = [None if part["mean"] is None else 1e3 * part["mean"] for part in score["horizons"]]
-        rows.append([name, *means, 100 * max(part["diverged"] for part in score["horizons"])])
-    settings = stored["provenance"]["configuration"]
+    for name, parts in scores.items():
+        diverged = [part["diverged"] for part in parts.values() if part["diverged"] is not None]
+        rows.append([name, *(_times(1e3, parts.get(label, {}).get("mean")) for label in labels),
+                     _times(100, max(diverged, default=None))])
+    split = ((stored.get("provenance") or {}).get("configuration") or {}).get("split")
     text = (f"Root mean square error of rollouts from measured starts, without correction, on the "
-            f"{settings['split'] or 'whole'} set; the starts are the same for every model and never cross two runs. "
+            f"{split or 'whole'} set; the starts are the same for every model and never cross two runs. "
             "Only predicted samples count; a mean that holds a diverged rollout is not shown.")
-    header = ["model", *(f"{part['label']} (mm)" for part in horizons), "diverged (%)"]
-    parts = [text, Table(header, rows, "Mean open-loop error over the horizon.")]
-    captions = {"error_over_horizon": "Mean error over the horizon.",
-                "prediction": "A rollout from one start, beside the measurement."}
-    counts = {"error_over_horizon": f"{horizons[0]['starts']} starts", "prediction": "1 run"}
-    parts += [Picture(path.with_name(f"{name}.svg"), caption, counts[name], "mm")
-              for name, caption in captions.items() if path.with_name(f"{name}.svg").is_file()]
-    return Section("Open loop", parts)
+    models = len(scores.keys() - BASELINES.keys())
+    header = ["model", *(f"{label} (mm)" for label in labels), "diverged (%)"]
+    table = Table(header, rows, "Mean open-loop error over the horizon.")
+    starts = next((part["starts"] for parts in scores.values() for part in parts.values()), 0)
+    pictures = _stored_pictures(path, [
+        ("error_over_horizon", "Mean error over the horizon.", f"{starts} starts", "mm"),
+        ("prediction", "A rollout from one start, beside the measurement.", "1 run", "mm")])
+    more = _first_of(PATHS_PER_FIGURE, models, "models") if pictures else []
+    return Section("Open loop", [text, *more, table, *pictures])
 
 
 def training_section(path: Path) -> Section:
     """What one fit found: scores, regressions, warnings, singular values, eigenvalues."""
     stored = json.loads(path.read_text())
-    name = stored["provenance"]["name"]
     fits = {key: value for key, value in stored.items() if key not in ("scores", "provenance")}
+    scores = stored.get("scores") or {}
+    errors = [_error(key.removesuffix("/rmse"), scores) for key in scores if key.endswith("/rmse")]
     rows = [[f"{fit}: {regression}".replace("_", " "), values["rows"], values["features"], values["condition"],
-             values["ridge"], 100 * values["relative_residual"]]
-            for fit, report in fits.items() for regression, values in report["regressions"].items()]
-    scores = "; ".join(f"{key.removesuffix('/rmse')} {1e3 * value:.4g} mm" for key, value in stored["scores"].items()
-                       if key.endswith("/rmse") and value is not None)
-    notes = [f"Look here: {warning}" for report in fits.values() for warning in report["warnings"]]
-    parts = [f"Open-loop error over the validation horizon: {scores or 'none scored'}.", *notes]
+             values["ridge"], _times(100, values["relative_residual"])]
+            for fit, report in fits.items() for regression, values in (report.get("regressions") or {}).items()]
+    parts = [f"Open-loop error over the validation horizon: {'; '.join(errors) or 'none scored'}.",
+             *(f"Look here: {warning}" for report in fits.values() for warning in report.get("warnings") or [])]
     if rows:
         parts.append(Table(["regression", "rows", "features", "condition", "ridge", "residual (%)"], rows,
                            "What determined the model."))
-    for file, caption, unit in (("singular_values", "Singular values of the decays' windows over the first.", "1"),
-                                ("eigenvalues", "Eigenvalues of the reduced dynamics at rest.", "1/s")):
-        if path.with_name(f"{file}.svg").is_file():
-            decays = next(iter(fits.values()))["trajectories"]["decay"]
-            parts.append(Picture(path.with_name(f"{file}.svg"), caption, f"{decays} decays", unit))
-    return Section(f"Training: {name}", parts)
+    trained = (next(iter(fits.values()), {}).get("trajectories") or {}).items()
+    runs = dict(decay="decays", controlled="controlled runs")
+    # the fit's own rule: where there are no decays, the controlled runs stand in for them
+    kind, count = next(((runs[kind], count) for kind, count in trained if count), ("runs", 0))
+    parts += _stored_pictures(path, [
+        ("singular_values", f"Singular values of the windows of the {kind}, over the first.", f"{count} {kind}", "1"),
+        ("eigenvalues", "Eigenvalues of the reduced dynamics at rest.", f"{count} {kind}", "1/s")])
+    return Section(f"Training: {(stored.get('provenance') or {}).get('name') or path.parent.name}", parts)
+
+
+def _setting(record: ClosedLoopRecord) -> tuple:
+    """What runs must share to be compared: task, plant, noise, period, and the axes of their figures."""
+    origin = record.provenance
+    return (*(origin[key] for key in ("task", "plant", "noise_std", "period")), record.tracked, record.output_names,
+            record.input_names, record.input_unit, record.time.tobytes(), record.reference.tobytes(),
+            json.dumps([origin.get("input_bounds"), _plant_settings(record)], sort_keys=True))
+
+
+def _plant_settings(record: ClosedLoopRecord) -> dict:
+    return (record.provenance.get("configuration") or {}).get("plant") or {}
+
+
+def _unique(names: Iterable[str]) -> list[str]:
+    """The names, a repeated one numbered."""
+    unique: list[str] = []
+    for name in names:
+        candidate, number = name, 2
+        while candidate in unique:
+            candidate, number = f"{name} {number}", number + 1
+        unique.append(candidate)
+    return unique
+
+
+def _tracking_table(runs: Mapping[str, ClosedLoopRecord], measured: Mapping[str, Mapping[str, float]]) -> Table:
+    columns = {"ISE (mm²)": ("ise", 1e6), "RMSE (mm)": ("rmse", 1e3), "max (mm)": ("max_error", 1e3),
+               "solve (ms)": ("solve_time_median", 1e3), "99 % (ms)": ("solve_time_p99", 1e3)}
+    seeds = {name: record.provenance.get("seed") for name, record in runs.items()}
+    seeded = len(set(seeds.values())) > 1
+    rows = [[name, *([seeds[name]] if seeded else []),
+             *(_times(factor, measured.get(name, {}).get(key)) for key, factor in columns.values()),
+             int(record.fallback.sum())] for name, record in runs.items()]
+    return Table(["model", *(["seed"] if seeded else []), *columns, "fallbacks"], rows,
+                 "Tracking in closed loop: errors, median and 99 % solve time, fallbacks.")
+
+
+def _tracking_pictures(runs: Mapping[str, ClosedLoopRecord]) -> list[Picture]:
+    first = next(iter(runs.values()))
+    names = tuple(first.output_names[i] for i in first.tracked)
+    paths = {name: record.observation[:, list(record.tracked)] for name, record in runs.items()}
+    if len(names) == 2:
+        drawing = figures.tracking(first.time, first.reference, paths, names)
+        caption = "Path in the task's plane, and tracking error."
+    else:
+        drawing = figures.prediction(first.time, first.reference,
+                                     {name: (first.time, path) for name, path in paths.items()}, names, "reference")
+        caption = "Tracked outputs and their reference."
+    count = f"{len(first.time)} samples of each run"
+    pictures = [Picture(drawing, caption, count, "mm")]
+    bounds, period = first.provenance.get("input_bounds"), first.provenance["period"]
+    if bounds is not None:
+        inputs = figures.inputs(first.time, {name: record.input for name, record in runs.items()}, np.array(bounds),
+                                first.input_names, first.input_unit)
+        unit = first.input_unit if first.input_unit != "1" else "share of full command"
+        pictures.append(Picture(inputs, "Inputs and their bounds.", count, unit))
+    times = {name: record.solve_time[np.isfinite(record.solve_time)] for name, record in runs.items()}
+    return [*pictures, Picture(figures.solve_times(times, period), "Time in the controller at each control step.",
+                               f"{len(next(iter(times.values())))} steps of each run", "ms")]
+
+
+def _stored_pictures(path: Path, pictures: Sequence[tuple[str, str, str, str]]) -> list[Picture]:
+    """Those of (name, caption, count, unit) that lie beside the file."""
+    return [Picture(path.with_name(f"{name}.svg"), *texts) for name, *texts in pictures
+            if path.with_name(f"{name}.svg").is_file()]
+
+
+def _first_of(shown: int, number: int, what: str) -> list[str]:
+    return [f"The figures show the first {shown} of {number} {what}."] if number > shown else []
+
+
+def _error(split: str, scores: Mapping[str, float | None]) -> str:
+    """The mean error of a split; one that is not finite is stored as null."""
+    mean, diverged = scores[f"{split}/rmse"], scores.get(f"{split}/diverged")
+    if mean is not None:
+        return f"{split} {1e3 * mean:.4g} mm"
+    return f"{split} not finite" + ("" if diverged is None else f" ({100 * diverged:.3g} % of the rollouts diverged)")
+
+
+def _times(factor: float, value: float | None) -> float | None:
+    return None if value is None else factor * value

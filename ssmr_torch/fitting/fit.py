@@ -68,7 +68,7 @@ class LeastSquaresFit(ModelFit):
     The solve is the step of the optimizer `ExactSolve`, so that checkpoints, loggers and the validation after the
     epoch all see the solved parameters. ridge: see `ExactSolve`. folds: cross-validation parts, by trajectory and,
     within long ones, by contiguous stretches.
-    `solutions` and `conditions` keep what the fit found, for its report.
+    `solutions` keeps what the fit found, for its report.
     """
 
     def __init__(self, procedure: LeastSquaresModel, ridge: float | Sequence | dict = 0.0, folds: int = 5):

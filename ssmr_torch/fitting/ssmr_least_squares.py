@@ -73,6 +73,9 @@ class SSMRLeastSquares(nn.Module):
         if detection_delays is not None and detection_delays < model.delays:
             raise ValueError(f"detection_delays is {detection_delays}, fewer than the model's {model.delays} delays; "
                              "detect with at least as many")
+        if model.chart_degree > 1 and (detection_delays is None or detection_delays == model.delays):
+            raise ValueError(f"chart_degree is {model.chart_degree}, but the coordinates are Vᵀ of the window itself, "
+                             "which a linear chart gives exactly; set detection_delays above the model's delays")
         # not a submodule: the fit that holds this procedure also holds the model, and saves it once
         self.__dict__["model"] = model
         self.derivative = derivative or central_difference(6)

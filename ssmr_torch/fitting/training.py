@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from inspect import signature
@@ -11,14 +9,14 @@ from pathlib import Path
 
 import lightning
 import numpy as np
-import torch
 from lightning.pytorch.callbacks import ModelCheckpoint
 
 from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.data.derivatives import Stencil
+from ssmr_torch.fitting.checkpoints import check_resumable, load_model, save_model
 from ssmr_torch.fitting.diagnosis import diagnose
 from ssmr_torch.fitting.dimension import choose_dimension
-from ssmr_torch.fitting.fit import LeastSquaresFit, ModelFit, description
+from ssmr_torch.fitting.fit import LeastSquaresFit, ModelFit
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.models.base import ReducedModel
 from ssmr_torch.models.ssmr import SSMR
@@ -57,14 +55,15 @@ def least_squares(model: SSMR, *, ridge=0.0, folds: int = 5, derivative: Stencil
 def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
           fits: Mapping[str, Callable[..., ModelFit]], module: Callable[..., TrajectoryDataModule],
           trainer: Callable[..., lightning.Trainer], directory: str | Path, name: str = "SSMR",
-          loggers: list | bool = False, resume: bool = False) -> Training:
+          loggers: list | bool = False, resume: bool = False, origin: dict | None = None) -> Training:
     """Fit one model by each of `fits` in turn, score it, and say what the fit found.
 
     name: of the model, in tables and figures. model: constructor that still misses input_dim, output_dim and
     timestep, which the data give; its state_dim is a number or a rule of `choose_dimension`.
     Checkpoints go to directory/checkpoints/FIT, of a refinement the best by validation error, of a closed form the
     last; a refinement that does not lower the validation error is undone. The fitted model goes to
-    directory/model.ckpt. resume: continue from the checkpoints already there.
+    directory/model.ckpt. resume: continue from the checkpoints already there. origin: provenance of this training,
+    with its configuration; it travels with the checkpoints, and resuming under another configuration is refused.
     Raises ValueError for data or options that cannot be fitted, before any work.
     """
     directory = Path(directory)
@@ -74,65 +73,42 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
                                  prepared.transient)
     reduced = model(state_dim=state_dim, input_dim=dataset.input_dim, output_dim=dataset.output_dim,
                     timestep=dataset.timestep)
-    card = data_card(dataset, prepared.training) | {"name": name}
+    card = data_card(dataset, prepared.training) | {"name": name, "training": origin or {}}
+    if resume:
+        check_resumable(directory / "checkpoints", tuple(fits), card["training"])
     scores, report = {}, {}
     for step, build in fits.items():
         fit = build(reduced)
         fit.card = card
-        scores = _run(fit, prepared.prepare(fit), trainer, directory / "checkpoints" / step, loggers, resume)
+        scores, undone = _run(fit, prepared.prepare(fit), trainer, directory / "checkpoints" / step, loggers, resume)
         report[step] = diagnose(fit, prepared.training, prepared.transient)
+        report[step]["warnings"] += [undone] if undone else []
     checkpoint = save_model(directory / "model.ckpt", reduced, card | {"scores": scores})
     return Training(reduced, checkpoint, scores, report)
 
 
 def data_card(dataset: TrajectoryDataset, training: tuple) -> dict:
-    """What a deployed model must know of its data: names, units, rest, range of inputs and outputs, provenance."""
+    """What a deployed model must know of its data: names, units, rest, range of inputs and outputs, provenance.
+
+    Raises ValueError when an input never changes.
+    """
     inputs = np.stack([_range(run, 1) for run in training])
     outputs = np.stack([_range(run, 0) for run in training])
+    lowest, highest = inputs[:, 0].min(0), inputs[:, 1].max(0)
+    still = [f"{name} ({level:g})" for name, level, top in zip(dataset.input_names, lowest, highest) if level == top]
+    if still:
+        raise ValueError(f"inputs that never change in the training data: {', '.join(still)}; their effect cannot be "
+                         "learned, so leave these columns out or record runs that use them")
     return {"output_names": list(dataset.output_names), "input_names": list(dataset.input_names),
             "input_unit": dataset.input_unit, "rest": dataset.rest.tolist(),
-            "input_bounds": [inputs[:, 0].min(0).tolist(), inputs[:, 1].max(0).tolist()],
+            "input_range": [lowest.tolist(), highest.tolist()],
             "output_range": [outputs[:, 0].min(0).tolist(), outputs[:, 1].max(0).tolist()],
             "data": dataset.provenance}
 
 
-def save_model(path: Path, model: ReducedModel, card: dict) -> Path:
-    """The fitted model alone, as `load_model` reads it; written aside, then renamed."""
-    # every process of a distributed run writes the same
-    aside = path.with_name(f"{path.name}.{os.getpid()}.part")
-    torch.save({"model": description(model), "card": card,
-                "state_dict": {f"model.{name}": value for name, value in model.state_dict().items()}}, aside)
-    os.replace(aside, path)
-    return path
-
-
-def load_model(checkpoint: str | Path) -> tuple[ReducedModel, dict]:
-    """The model of a checkpoint and the card of its data; nothing is unpickled but plain values.
-
-    Raises FileNotFoundError, or ValueError for a checkpoint of something else.
-    """
-    if not Path(checkpoint).is_file():
-        raise FileNotFoundError(f"no checkpoint at {checkpoint}; train.py prints the path of the one it writes")
-    try:
-        stored = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises what its unpickler meets, and advises to load unsafely
-        raise ValueError(f"{checkpoint} is not a checkpoint of plain values; expected one written by "
-                         "experiments/train.py") from error
-    try:
-        module, _, name = stored["model"]["class"].rpartition(".")
-        if not module.startswith("ssmr_torch.models."):
-            raise ValueError(f"its class is {stored['model']['class']!r}")
-        model = getattr(importlib.import_module(module), name)(**stored["model"]["arguments"])
-        model.load_state_dict({key.removeprefix("model."): value for key, value in stored["state_dict"].items()
-                               if key.startswith("model.")})
-        return model, stored["card"]
-    except (LookupError, TypeError, ValueError, RuntimeError, ImportError, AttributeError) as error:
-        raise ValueError(f"{checkpoint} holds no model of this package ({error}); expected one written by "
-                         "experiments/train.py") from error
-
-
 def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, directory: Path, loggers,
-         resume: bool) -> dict[str, float]:
+         resume: bool) -> tuple[dict[str, float], str]:
+    """Scores of the fitted model, and a sentence where the fit was undone."""
     validated = bool(module.validation)
     closed_form = isinstance(fit, LeastSquaresFit)
     keep = ModelCheckpoint(dirpath=directory, filename="best", save_last=True, enable_version_counter=False,
@@ -144,13 +120,16 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
     before = {name: value.clone() for name, value in fit.model.state_dict().items()}
     bar = None if closed_form or not validated else trainer.validate(fit, module, verbose=False)[0]["validation/rmse"]
     trainer.fit(fit, module, ckpt_path=str(last) if resume and last.is_file() else None, weights_only=True)
-    improved = bar is None or float(keep.best_model_score) <= bar
+    best = float("nan") if bar is None else float(keep.best_model_score)
+    improved = bar is None or best <= bar
     fit.model.load_state_dict(load_model(keep.best_model_path or last)[0].state_dict() if improved else before)
     scores = {}
     for run, available in ((trainer.validate, validated), (trainer.test, bool(module.test))):
         if available:
             scores |= run(fit, module, verbose=False)[0]
-    return {name: float(value) for name, value in scores.items()}
+    undone = "" if improved else (f"The refinement was undone: its best validation error, {1e3 * best:.4g} mm, is not "
+                                  f"below the {1e3 * bar:.4g} mm it started from.")
+    return {name: float(value) for name, value in scores.items()}, undone
 
 
 def _range(trajectory, which: int) -> np.ndarray:

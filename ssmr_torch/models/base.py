@@ -8,9 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from ssmr_torch.models.integrators import rk4_linearization, rk4_step
-
-DIVERGENCE_FACTOR = 10.0
+from ssmr_torch.models.integrators import DIVERGENCE_FACTOR, rk4_linearization, rk4_step
 
 
 class Linearization(NamedTuple):

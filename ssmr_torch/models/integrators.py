@@ -5,6 +5,9 @@ Written with arithmetic and matrix products only, so that the same lines serve N
 
 from collections.abc import Callable
 
+# A rollout has diverged once ‖z‖ exceeds this many times the norm of the largest training values.
+DIVERGENCE_FACTOR = 10.0
+
 
 def rk4_step(rate: Callable, z, timestep: float, substeps: int = 1):
     """Classical Runge-Kutta step of order four: z(t + timestep) from z(t), shape (..., n)."""

@@ -84,7 +84,7 @@ def test_the_card_describes_the_training_data_and_not_the_test_data(dataset, who
     _, card = load_model(whole.checkpoint)
     runs = MODULE(dataset=dataset).training
     inputs = np.concatenate([run.input for run in runs])
-    assert card["input_bounds"] == [inputs.min(0).tolist(), inputs.max(0).tolist()]
+    assert card["input_range"] == [inputs.min(0).tolist(), inputs.max(0).tolist()]
     assert card["output_names"] == ["a", "b", "c", "d"] and card["input_unit"] == "N" and card["name"] == "SSMR"
     assert card["data"] == {"source": "known"} and card["scores"] == whole.scores
 
@@ -324,7 +324,7 @@ def test_two_processes_find_what_one_finds(dataset, tmp_path, rows):
     assert ended.returncode == 0, ended.stderr
     closed_form = load_model(tmp_path / "run" / "checkpoints" / "closed_form" / "last.ckpt")[0]
     assert_same_model(closed_form, alone, 1e-9)
-    refined = load_model(tmp_path / "run" / "model.ckpt")[0]
+    refined = load_model(tmp_path / "run" / "checkpoints" / "refinement" / "last.ckpt")[0]
     assert not torch.equal(refined.drift_table, closed_form.drift_table)
 
 

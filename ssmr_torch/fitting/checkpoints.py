@@ -1,0 +1,80 @@
+"""Fitted models on disk, and what may be resumed."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from pathlib import Path
+
+import torch
+
+from ssmr_torch.fitting.fit import description
+from ssmr_torch.models.base import ReducedModel
+
+DECISIVE = ("data", "outputs", "model", "module", "seed")
+
+
+def save_model(path: Path, model: ReducedModel, card: dict) -> Path:
+    """The fitted model alone, as `load_model` reads it; written aside, then renamed."""
+    # every process of a distributed run writes the same
+    aside = path.with_name(f"{path.name}.{os.getpid()}.part")
+    torch.save({"model": description(model), "card": card,
+                "state_dict": {f"model.{name}": value for name, value in model.state_dict().items()}}, aside)
+    os.replace(aside, path)
+    return path
+
+
+def load_model(checkpoint: str | Path) -> tuple[ReducedModel, dict]:
+    """The model of a checkpoint and the card of its data; nothing is unpickled but plain values.
+
+    Raises FileNotFoundError, or ValueError for a checkpoint of something else.
+    """
+    if not Path(checkpoint).is_file():
+        raise FileNotFoundError(f"no checkpoint at {checkpoint}; train.py prints the path of the one it writes")
+    try:
+        stored = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises what its unpickler meets, and advises to load unsafely
+        raise ValueError(f"{checkpoint} is not a checkpoint of plain values; expected one written by "
+                         "experiments/train.py") from error
+    try:
+        module, _, name = stored["model"]["class"].rpartition(".")
+        if not module.startswith("ssmr_torch.models."):
+            raise ValueError(f"its class is {stored['model']['class']!r}")
+        model = getattr(importlib.import_module(module), name)(**stored["model"]["arguments"])
+        model.load_state_dict({key.removeprefix("model."): value for key, value in stored["state_dict"].items()
+                               if key.startswith("model.")})
+        return model, stored["card"]
+    except (LookupError, TypeError, ValueError, RuntimeError, ImportError, AttributeError) as error:
+        raise ValueError(f"{checkpoint} holds no model of this package ({error}); expected one written by "
+                         "experiments/train.py") from error
+
+
+def check_resumable(directory: Path, steps: tuple[str, ...], origin: dict) -> None:
+    """Whether the fits `steps` can go on from the checkpoints below `directory` under this configuration.
+
+    Raises ValueError where there are none, or where data, model, module, seed or the fit itself were configured
+    otherwise: the message names the first difference, with both values.
+    """
+    begun = [step for step in steps if (directory / step / "last.ckpt").is_file()]
+    if not begun:
+        raise ValueError(f"resume=true, but there are no checkpoints below {directory}; give the directory of the run "
+                         "to continue as hydra.run.dir")
+    now = origin.get("configuration", {})
+    for step in begun:
+        then = load_model(directory / step / "last.ckpt")[1].get("training", {}).get("configuration", {})
+        pairs = [(name, then.get(name), now.get(name)) for name in DECISIVE]
+        pairs.append((f"fit.{step}", then.get("fit", {}).get(step), now.get("fit", {}).get(step)))
+        for name, old, new in pairs:
+            if old != new:
+                key, old, new = _difference(name, old, new)
+                raise ValueError(f"the run in {directory.parent} was begun with {key}={old}, now it is {new}; resume "
+                                 "it as it was, or start a new one")
+
+
+def _difference(name: str, old, new) -> tuple:
+    """The first key at which two configurations differ, and both values."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in sorted(old.keys() | new.keys()):
+            if old.get(key) != new.get(key):
+                return _difference(f"{name}.{key}", old.get(key), new.get(key))
+    return name, old, new
