@@ -42,6 +42,7 @@ def save(directory: str | Path, model: PolynomialTables, *, output_names, input_
     """Write the artifact aside and move it into place; an artifact already there is replaced whole.
 
     output_names (p,), input_names (m,), rest (p,) m, input_range (2, m): what the model was trained on.
+    scores: plain numbers; one that is not finite, of rollouts that diverge, is stored as null.
     Raises ValueError when these disagree with the model, a table is not finite, or the directory holds other files.
     """
     directory = Path(directory)
@@ -52,7 +53,8 @@ def save(directory: str | Path, model: PolynomialTables, *, output_names, input_
             "model": {scalar: getattr(model, scalar) for scalar in _SCALARS} | {"state_dim": model.state_dim},
             "units": {"length": "m", "time": "s", "input": input_unit},
             "output_names": list(output_names), "input_names": list(input_names), "rest": rest.tolist(),
-            "input_range": bounds.tolist(), "provenance": provenance or {}, "scores": scores or {}}
+            "input_range": bounds.tolist(), "provenance": provenance or {},
+            "scores": {key: value if np.isfinite(value) else None for key, value in (scores or {}).items()}}
     aside = directory.with_name(directory.name + ".part")
     shutil.rmtree(aside, ignore_errors=True)
     aside.mkdir(parents=True)

@@ -260,3 +260,8 @@ print(model.step(np.full(4, 0.01), np.ones(2)).tolist())
     output = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
     expected = MODELS["curved"].step(np.full(4, 0.01), np.ones(2))
     np.testing.assert_allclose(json.loads(output), expected, rtol=1e-12)
+
+
+def test_a_score_that_is_infinite_because_rollouts_diverge_is_stored_as_null(tmp_path):
+    path = artifact.save(tmp_path / "model", MODELS["curved"], **DATA, scores={"test/rmse": float("inf")})
+    assert artifact.load(path).card["scores"] == {"test/rmse": None}

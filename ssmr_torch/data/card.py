@@ -3,46 +3,41 @@
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 
+import numpy as np
 import yaml
 
-from ssmr_torch.data.recording import DISPLACEMENT_RANGE, UNITS_OF_LENGTH
 from ssmr_torch.data.sampling import IRREGULAR
+from ssmr_torch.data.units import Plausible, Units
+from ssmr_torch.trajectory import SPLITS
 
-UNITS = {"length": UNITS_OF_LENGTH, "input": {"N": 1.0, "mN": 1e-3, "1": 1.0}, "time": {"s": 1.0, "ms": 1e-3}}
 RESTS = ("last sample of decays", "median of resting samples")
-SPLITS = ("train", "validation", "test")
+KINDS = {"list": (list, "a list"), "str": ((str, int), "text"), "dict": (dict, "keys and values")}
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Names of the columns; without `time`, the card must give sampling_time."""
+    """Names of the columns, each once; without `time`, the card must give sampling_time."""
 
     observation: list
     input: list = field(default_factory=list)
     time: str | None = None
     run: str | None = None
 
-
-@dataclass(frozen=True)
-class Units:
-    """Units of the file; everything becomes m, N and s. Input "1" stands for normalized commands."""
-
-    length: str
-    input: str = "N"
-    time: str = "s"
-
     def __post_init__(self):
-        for key, known in UNITS.items():
-            value = str(getattr(self, key))
-            if value not in known:
-                raise ValueError(f"units.{key} is {value!r}; expected one of {list(known)}")
-            object.__setattr__(self, key, value)
-
-    def scale(self, key: str) -> float:
-        return UNITS[key][getattr(self, key)]
+        for key in ("observation", "input"):
+            names = getattr(self, key)
+            if not names or not all(isinstance(name, str) for name in names):
+                zeros = "; recordings of decays only need columns of zeros, one for each input of the robot"
+                raise ValueError(f"columns.{key} is {names!r}; training needs at least one {key} column, named as in "
+                                 f"the files{zeros if key == 'input' else ''}")
+        named = [*self.observation, *self.input, *filter(None, (self.time, self.run))]
+        twice = sorted({name for name in named if named.count(name) > 1})
+        if twice:
+            raise ValueError(f"columns names {twice} twice, observation {self.observation} and input {self.input}; "
+                             "expected each column once")
 
 
 @dataclass(frozen=True)
@@ -52,8 +47,8 @@ class Card:
     rest: vector in the unit of length, "last sample of decays" or "median of resting samples".
     seams: "auto", or rows by run. decays: names of the runs that are decays. split: {test: [...], validation:
     [...]}.
-    sampling_time: in units.time, for files without a column of time. range: smallest and largest plausible
-    peak displacement, m. timestep: grid, s.
+    sampling_time: in units.time, for files without a column of time. timestep: grid, s.
+    range, interval_range, largest_input: what is plausible (`Plausible`), m, s, and N or 1.
     """
 
     files: list
@@ -70,29 +65,58 @@ class Card:
     irregularity: float = IRREGULAR
     missing: str = "refuse"
     minimum_length: int = 10
-    range: list = field(default_factory=lambda: list(DISPLACEMENT_RANGE))
+    range: list = field(default_factory=lambda: list(Plausible.displacement))
+    interval_range: list = field(default_factory=lambda: list(Plausible.interval))
+    largest_input: float | None = None
 
     def __post_init__(self):
-        if not self.files or not self.columns.observation:
-            raise ValueError("the card names no files or no observation columns; at least one of each is "
-                             "needed")
-        if (self.columns.time is None) == (self.sampling_time is None):
-            raise ValueError("the card needs either columns.time or sampling_time, and not both")
-        if isinstance(self.rest, str) and self.rest not in RESTS:
-            raise ValueError(f"rest is {self.rest!r}; expected a vector, {' or '.join(map(repr, RESTS))}")
-        if not isinstance(self.rest, str) and len(self.rest) != len(self.columns.observation):
-            raise ValueError(f"rest has {len(self.rest)} entries for {len(self.columns.observation)} "
-                             "observation columns")
+        if not self.files or not all(isinstance(name, str) for name in self.files):
+            raise ValueError(f"files is {self.files!r}; expected the names of one file or more")
         if isinstance(self.seams, str) and self.seams != "auto":
             raise ValueError(f"seams is {self.seams!r}; expected auto or rows by run, as {{run: [120, 400]}}")
         _refuse_unknown(self.split, SPLITS, "split")
+        for split, runs in self.split.items():
+            if not isinstance(runs, list):
+                raise ValueError(f"split.{split} is {runs!r}; expected a list of runs, as [{runs}]")
+        self._check_rest()
+        self._check_plausible()
+        self._check_clock()
+
+    def _check_rest(self):
+        if isinstance(self.rest, str):
+            if self.rest not in RESTS:
+                raise ValueError(f"rest is {self.rest!r}; expected a vector, {' or '.join(map(repr, RESTS))}")
+            return
+        count = len(self.columns.observation)
+        object.__setattr__(self, "rest", _numbers(
+            self.rest, count, "rest", f"{count} numbers in {self.units.length}, one for each observation column"))
+
+    def _check_plausible(self):
+        for key, unit in (("range", "m"), ("interval_range", "s")):
+            expected = f"two numbers in {unit}, [smallest, largest]"
+            bounds = _numbers(getattr(self, key), 2, key, expected)
+            if not 0 <= bounds[0] < bounds[1]:
+                raise ValueError(f"{key} is {bounds}; expected {expected}")
+            object.__setattr__(self, key, bounds)
+        if self.largest_input is not None and not self.largest_input > 0:
+            raise ValueError(f"largest_input is {self.largest_input}; expected a positive number in N or 1")
+
+    def _check_clock(self):
+        if (self.columns.time is None) == (self.sampling_time is None):
+            raise ValueError("the card needs either columns.time or sampling_time, and not both")
+        if self.sampling_time is not None and not self.sampling_time > 0:
+            raise ValueError(f"sampling_time is {self.sampling_time} {self.units.time}; it must be positive")
+        shortest, longest = self.interval_range
+        if self.timestep is not None and not shortest <= self.timestep <= longest:
+            raise ValueError(f"timestep is {self.timestep:g} s; expected seconds, between {shortest:g} and {longest:g} "
+                             "(interval_range)")
 
 
 def read_card(path: str | Path) -> Card:
     """The card in a YAML file.
 
-    Raises FileNotFoundError, or ValueError for a key that is unknown (naming the nearest one) or missing, and
-    for a value of the wrong kind.
+    Raises FileNotFoundError, or ValueError for a file that is not YAML (naming the line), a key that is unknown
+    (naming the nearest one) or missing, and a value of the wrong kind.
     """
     path = Path(path)
     if not path.is_file():
@@ -100,24 +124,24 @@ def read_card(path: str | Path) -> Card:
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
         return _build(Card, content, "the card", columns=Columns, units=Units)
+    except yaml.MarkedYAMLError as error:
+        line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
+        raise ValueError(f"{path.name}: {line}{error.problem or error.context}; expected YAML") from error
     except (ValueError, yaml.YAMLError) as error:
-        raise ValueError(f"{path.name}: {error}") from error
+        raise ValueError(f"{path.name}: {' '.join(str(error).split())}") from error
 
 
 def _build(noun, content, where: str, **parts):
     if not isinstance(content, dict):
         raise ValueError(f"{where} is {type(content).__name__}; expected keys and values")
-    _refuse_unknown(content, [f.name for f in fields(noun)], where)
-    content = dict(content)
-    for f in fields(noun):
-        if f.name in parts and f.name in content:
-            content[f.name] = _build(parts[f.name], content[f.name], f.name)
-        elif f.name in content:
-            content[f.name] = _typed(f.type, content[f.name], f"{f.name} of {where}")
-    try:
-        return noun(**content)
-    except TypeError as error:
-        raise ValueError(f"{where} is incomplete: {error}") from error
+    known = {f.name: f for f in fields(noun)}
+    _refuse_unknown(content, list(known), where)
+    needed = [name for name, f in known.items() if f.default is MISSING and f.default_factory is MISSING]
+    missing = [name for name in needed if name not in content]
+    if missing:
+        raise ValueError(f"{where} lacks the key {' and '.join(missing)}; it needs {', '.join(needed)}")
+    return noun(**{name: _build(parts[name], value, name) if name in parts
+                   else _typed(known[name].type, value, f"{name} of {where}") for name, value in content.items()})
 
 
 def _typed(annotation: str, value, where: str):
@@ -129,10 +153,20 @@ def _typed(annotation: str, value, where: str):
             return float(value) if annotation.startswith("float") else int(value)
         except (TypeError, ValueError):
             raise ValueError(f"{where} is {value!r}; expected a number") from None
-    kinds = {"list": list, "str": (str, int), "dict": dict, "None": type(None)}
-    if not any(isinstance(value, kinds[name]) for name in annotation.split(" | ")):
-        raise ValueError(f"{where} is {value!r}; expected {annotation.replace(' | ', ' or ')}")
+    kinds = [KINDS[name] for name in annotation.split(" | ") if name != "None"]
+    if not any(isinstance(value, kind) for kind, _ in kinds):
+        raise ValueError(f"{where} is {value!r}; expected {' or '.join(word for _, word in kinds)}")
     return value
+
+
+def _numbers(values, count: int, key: str, expected: str) -> list[float]:
+    try:
+        numbers = [float(value) for value in values]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise ValueError(f"{key} is {values!r}; expected {expected}")
+    return numbers
 
 
 def _refuse_unknown(content, known, where: str) -> None:

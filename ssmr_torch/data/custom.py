@@ -8,9 +8,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ssmr_torch.data.card import Card, read_card
-from ssmr_torch.data.recording import Recording, assemble, fingerprint
+from ssmr_torch.data.recording import Recording, assemble, fingerprint, refuse_wrong_clock
 from ssmr_torch.data.sampling import SamplingRule
 from ssmr_torch.data.tabular import pick, read_columns
+from ssmr_torch.data.units import Plausible
 from ssmr_torch.trajectory import TrajectoryDataset
 
 
@@ -27,18 +28,18 @@ def custom(card: str | Path) -> TrajectoryDataset:
     tables = _tables(files, described)
     _refuse_unknown_runs(described, [name for name, _ in tables])
     recordings = [_recording(name, table, described) for name, table in tables]
+    plausible = Plausible(tuple(described.range), tuple(described.interval_range), described.largest_input)
+    # Before the rest position: resting samples are found by how long they last.
+    refuse_wrong_clock(recordings, described.units, plausible)
     rest, assumed = _rest(recordings, described)
-    inputs = described.columns.input
     rule = SamplingRule(described.sampling, described.timestep, described.irregularity, described.missing,
                         described.minimum_length)
     provenance = {"reader": "custom", "sources": fingerprint(path, *files), "assumptions": [
         f"Lengths in {described.units.length}, inputs in {described.units.input}, time in "
         f"{described.units.time}.",
-        assumed, "Each input is held until the next sample and acts after the observation of its row.",
-        *([] if inputs else ["No inputs were recorded."])]}
-    return assemble(recordings, rest, described.columns.observation, inputs,
-                    "1" if described.units.input == "1" else "N", rule, provenance,
-                    tuple(float(bound) for bound in described.range), described.units.length)
+        assumed, "Each input is held until the next sample and acts after the observation of its row."]}
+    return assemble(recordings, rest, described.columns.observation, described.columns.input, described.units, rule,
+                    provenance, plausible)
 
 
 def _tables(files: list[Path], card: Card) -> list[tuple[str, np.ndarray]]:
@@ -120,11 +121,11 @@ def _resting_samples(recording: Recording, still: float = 0.01, duration: float 
 
 
 def _refuse_unknown_runs(card: Card, names: list[str]) -> None:
-    named = {"decays": card.decays, "centred": card.centred, **{f"split "
-                                                                f"{k}": v for k, v in card.split.items()},
+    named = {"decays": card.decays, "centred": card.centred,
+             **{f"split.{split}": runs for split, runs in card.split.items()},
              "seams": list(card.seams) if isinstance(card.seams, dict) else []}
     for key, runs in named.items():
-        unknown = [run for run in (runs if isinstance(runs, list) else [runs]) if run not in names]
-        if unknown or not isinstance(runs, list):
+        unknown = [run for run in runs if run not in names]
+        if unknown:
             raise ValueError(f"{key} names the runs {runs}, of which {unknown} do not exist; "
                              f"the runs are {names[:10]}{'…' if len(names) > 10 else ''}")

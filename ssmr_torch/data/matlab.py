@@ -9,6 +9,8 @@ import h5py
 import numpy as np
 import scipy.io
 
+from ssmr_torch.data.tabular import open_hdf5
+
 CELL_NAMES = ("oData", "xData")
 
 
@@ -83,7 +85,7 @@ class _Variables:
     def __init__(self, path: Path):
         self.path, self.file, self.content = path, None, {}
         if h5py.is_hdf5(path):
-            self.file = h5py.File(path, "r")
+            self.file = open_hdf5(path)
             self.names = {name for name in self.file if not name.startswith("#")}
             return
         try:

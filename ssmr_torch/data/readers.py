@@ -19,6 +19,7 @@ from ssmr_torch.data.recording import Recording, assemble, fingerprint, rest_at_
 from ssmr_torch.data.sampling import IRREGULAR, SamplingRule
 from ssmr_torch.data.seams import check_seams, find_seams
 from ssmr_torch.data.tabular import pick, read_columns
+from ssmr_torch.data.units import Units
 from ssmr_torch.trajectory import TrajectoryDataset
 
 __all__ = ["custom", "diamond_hardware", "diamond_simulated", "stored", "trunk_hardware", "trunk_simulated"]
@@ -36,8 +37,18 @@ HELD = "Each input is held until the next sample and acts after the observation 
 
 
 def stored(path: str | Path) -> TrajectoryDataset:
-    """The dataset in a file that `TrajectoryDataset.save` wrote; nothing is converted."""
-    return TrajectoryDataset.load(path)
+    """The dataset in a file that `TrajectoryDataset.save` wrote; nothing is converted.
+
+    Adds the SHA-256 of the file to the provenance, as "stored". Raises FileNotFoundError, or ValueError for a
+    file of another kind or a truncated one.
+    """
+    try:
+        dataset = TrajectoryDataset.load(path)
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise ValueError(f"{Path(path).name} cannot be read ({error}); copy or collect it again") from error
+    return replace(dataset, provenance=dataset.provenance | {"stored": fingerprint(path)})
 
 
 def trunk_hardware(path: str | Path, *, train: Sequence[str] = ("controlled_1",),
@@ -75,7 +86,7 @@ def trunk_hardware(path: str | Path, *, train: Sequence[str] = ("controlled_1",)
         sources += files
     rule = SamplingRule("refuse", timestep, missing=missing, minimum_length=minimum_length)
     assumptions = _trunk_assumptions(controlled, ends, rest, decay_rest)
-    return assemble(decays + controlled, rest, MARKERS, _inputs(6), "1", rule,
+    return assemble(decays + controlled, rest, MARKERS, _inputs(6), Units("m", "1"), rule,
                     _provenance("trunk_hardware", sources, assumptions))
 
 
@@ -129,8 +140,8 @@ def diamond_hardware(path: str | Path, *, decays: str = "decays.mat",
         recordings += _share(run, train_share, minimum_length)
         sources.append(folder / controlled)
     rule = SamplingRule(sampling, timestep, irregularity, missing, minimum_length)
-    return assemble(recordings, rest, names, _inputs(4), "1", rule,
-                    _provenance("diamond_hardware", sources, assumptions), unit="mm")
+    return assemble(recordings, rest, names, _inputs(4), Units("mm", "1"), rule,
+                    _provenance("diamond_hardware", sources, assumptions))
 
 
 def diamond_simulated(path: str | Path, *, splits: Sequence[str] = ("train", "test"),
@@ -181,8 +192,8 @@ def _simulated(folder, reader, run, seam, splits, recordings, rest, static, miss
         assumptions.append(f"{len(points)} set points, the last {SET_POINT} samples of each input held for "
                            "1 s or more.")
     rule = SamplingRule("refuse", 0.01, missing=missing, minimum_length=SET_POINT)
-    return assemble(recordings, rest, TIP, _inputs(run.input.shape[1]), "N", rule,
-                    _provenance(reader, sources, assumptions), unit="mm")
+    return assemble(recordings, rest, TIP, _inputs(run.input.shape[1]), Units("mm", "mN"), rule,
+                    _provenance(reader, sources, assumptions))
 
 
 def _inputs(count: int) -> list[str]:

@@ -11,13 +11,13 @@ import numpy as np
 
 from ssmr_torch.data.sampling import SamplingRule, is_uniform, refuse_irregular, to_grid
 from ssmr_torch.data.seams import count_blips, count_frozen, find_seams, find_time_gaps
+from ssmr_torch.data.units import Plausible, Units
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 logger = logging.getLogger(__name__)
 
 FINDINGS = ("seams", "blips", "frozen_samples")
-DISPLACEMENT_RANGE = (1e-4, 2.0)
-UNITS_OF_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+PLAUSIBLE = Plausible()
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,52 +52,57 @@ class Recording:
             raise ValueError(f"{self.name}: seams {outside} lie outside the {lengths[0]} rows")
 
 
-def assemble(recordings: list[Recording], rest: np.ndarray, output_names, input_names, input_unit: str,
-             rule: SamplingRule, provenance: dict,
-             displacement_range: tuple[float, float] = DISPLACEMENT_RANGE,
-             unit: str = "m") -> TrajectoryDataset:
+def assemble(recordings: list[Recording], rest: np.ndarray, output_names, input_names, units: Units,
+             rule: SamplingRule, provenance: dict, plausible: Plausible = PLAUSIBLE) -> TrajectoryDataset:
     """The dataset of all recordings, observations measured from `rest` (p,) in m.
 
-    Adds to the provenance: intervals found, seams, blips, frozen and dropped samples. `unit` is the unit of
-    length of the source, for the message when the displacement is not within `displacement_range` (m).
+    Adds to the provenance: intervals and peaks found, seams, blips, frozen and dropped samples. `units` are
+    those of the source, for the messages about what is not plausible.
     Raises ValueError for rows that are not finite (unless the rule splits there), time that does not
-    increase, implausible displacements, and sampling that the rule refuses.
+    increase, implausible intervals, displacements and inputs, and sampling that the rule refuses.
     """
+    refuse_wrong_clock(recordings, units, plausible)
     usable = [(recording, _refuse_bad_rows(recording, rule)) for recording in recordings]
-    _refuse_implausible(usable, rest, displacement_range, unit)
+    peaks = _peaks(usable, rest)
+    plausible.refuse("length", peaks["displacement_m"], units, "the largest displacement from rest")
+    plausible.refuse("input", peaks["input"], units, "the largest input")
     timestep = rule.timestep or _common_timestep([r.time[good] for r, good in usable])
     for recording, good in usable:
         refuse_irregular(recording.time[good], rule, timestep, recording.name)
     findings = {recording.name: _findings(recording, good) for recording, good in usable}
     trajectories, dropped, resampled = [], [], 0
     for recording, good in usable:
-        parts = _runs(recording, good, findings[recording.name]["seams"])
-        for index, rows in enumerate(parts):
-            name = recording.name if len(parts) == 1 else f"{recording.name}/{index}"
-            if len(rows) < rule.minimum_length:
-                dropped.append(f"{name} ({len(rows)} samples)")
-                continue
-            observation = recording.observation[rows] - (0.0 if recording.centred else rest)
-            samples = to_grid(recording.time[rows], observation, recording.input[rows], rule, timestep, name)
-            resampled += not is_uniform(recording.time[rows], timestep)
-            trajectories.append(Trajectory(*samples, recording.kind, recording.split, name))
+        kept, short, moved = _trajectories(recording, good, findings[recording.name]["seams"], rest, rule, timestep)
+        trajectories, dropped, resampled = trajectories + kept, dropped + short, resampled + moved
     if not trajectories:
         raise ValueError(f"no run is left: all {len(dropped)} are shorter than {rule.minimum_length} samples")
-    steps = np.concatenate([np.diff(r.time[good]) for r, good in usable])
-    sampling = {"rule": rule.sampling, "timestep_s": float(timestep), "shortest_s": float(steps.min()),
-                "median_s": float(np.median(steps)), "longest_s": float(steps.max()),
-                "resampled_runs": resampled}
     provenance = provenance | {
-        "rest_m": [float(x) for x in rest], "sampling": sampling,
+        "rest_m": [float(x) for x in rest], "peaks": peaks,
+        "sampling": _intervals(usable) | {"rule": rule.sampling, "timestep_s": float(timestep),
+                                          "resampled_runs": resampled},
         **{key: {name: found[key] for name, found in findings.items() if found[key]} for key in FINDINGS},
         "shorter_than_minimum": dropped, "minimum_length": rule.minimum_length}
-    _log(provenance)
-    return TrajectoryDataset(trajectories, rest, output_names, input_names, input_unit, provenance)
+    _log(provenance, units)
+    return TrajectoryDataset(trajectories, rest, output_names, input_names, units.input_inside, provenance)
+
+
+def refuse_wrong_clock(recordings: list[Recording], units: Units, plausible: Plausible) -> None:
+    """Raises ValueError for a run whose median sampling interval is not plausible."""
+    for recording in recordings:
+        steps = np.diff(recording.time[np.isfinite(recording.time)])
+        # Time that repeats or goes back has a message of its own.
+        if (steps > 0).any():
+            plausible.refuse("time", float(np.median(steps[steps > 0])), units,
+                             f"{recording.name}: the median sampling interval")
 
 
 def fingerprint(*paths: str | Path) -> dict[str, str]:
     """SHA-256 of each file by its name."""
-    return {Path(path).name: hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in paths}
+    digests = {}
+    for path in map(Path, paths):
+        with path.open("rb") as file:
+            digests[path.name] = hashlib.file_digest(file, "sha256").hexdigest()
+    return digests
 
 
 def rest_at_end(time: np.ndarray, observation: np.ndarray, inputs: np.ndarray, name: str,
@@ -134,16 +139,33 @@ def _refuse_bad_rows(recording: Recording, rule: SamplingRule) -> np.ndarray:
     return good
 
 
-def _refuse_implausible(usable, rest: np.ndarray, displacement_range, unit: str) -> None:
-    lowest, highest = displacement_range
-    peak = max(float(np.abs(r.observation[good] - (0.0 if r.centred else rest)).max()) for r, good in usable)
-    if lowest <= peak <= highest:
-        return
-    measured = peak / UNITS_OF_LENGTH[unit]
-    likely = [name for name, scale in UNITS_OF_LENGTH.items() if lowest <= measured * scale <= highest]
-    remedy = f"the columns look like {' or '.join(likely)}" if likely else "check the unit and the rest"
-    raise ValueError(f"the largest displacement from rest is {peak:.3g} m when the columns are read in "
-                     f"{unit}; expected between {lowest:g} and {highest:g} m: {remedy}")
+def _peaks(usable, rest: np.ndarray) -> dict[str, float]:
+    """Largest |displacement from rest|, m, and largest |input|, over all runs."""
+    return {"displacement_m": max(float(np.abs(r.observation[good] - (0.0 if r.centred else rest)).max())
+                                  for r, good in usable),
+            "input": max(float(np.abs(r.input[good]).max(initial=0.0)) for r, good in usable)}
+
+
+def _trajectories(recording: Recording, good: np.ndarray, seams: list[int], rest: np.ndarray, rule: SamplingRule,
+                  timestep: float) -> tuple[list[Trajectory], list[str], int]:
+    """The runs between the seams on the grid, those too short for the rule, and how many were resampled."""
+    trajectories, dropped, resampled = [], [], 0
+    parts = _runs(recording, good, seams)
+    for index, rows in enumerate(parts):
+        name = recording.name if len(parts) == 1 else f"{recording.name}/{index}"
+        if len(rows) < rule.minimum_length:
+            dropped.append(f"{name} ({len(rows)} samples)")
+            continue
+        observation = recording.observation[rows] - (0.0 if recording.centred else rest)
+        samples = to_grid(recording.time[rows], observation, recording.input[rows], rule, timestep, name)
+        resampled += not is_uniform(recording.time[rows], timestep)
+        trajectories.append(Trajectory(*samples, recording.kind, recording.split, name))
+    return trajectories, dropped, resampled
+
+
+def _intervals(usable) -> dict[str, float]:
+    steps = np.concatenate([np.diff(r.time[good]) for r, good in usable])
+    return {"shortest_s": float(steps.min()), "median_s": float(np.median(steps)), "longest_s": float(steps.max())}
 
 
 def _common_timestep(times: list[np.ndarray]) -> float:
@@ -169,9 +191,11 @@ def _runs(recording: Recording, good: np.ndarray, seams: list[int]) -> list[np.n
     return [part for part in np.split(rows, cuts) if len(part)]
 
 
-def _log(provenance: dict) -> None:
+def _log(provenance: dict, units: Units) -> None:
     logger.info("read %s: %s", ", ".join(provenance["sources"]), " ".join(provenance["assumptions"]))
-    sampling = provenance["sampling"]
+    sampling, peaks = provenance["sampling"], provenance["peaks"]
+    logger.info("largest displacement %.4g m, largest input %.4g %s", peaks["displacement_m"], peaks["input"],
+                "N" if units.input_inside == "N" else "(normalized)")
     logger.info("sampling intervals %.4g to %.4g s, median %.4g s; %d runs put on a grid of %.4g s",
                 sampling["shortest_s"], sampling["longest_s"], sampling["median_s"],
                 sampling["resampled_runs"], sampling["timestep_s"])

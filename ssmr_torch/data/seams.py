@@ -82,10 +82,27 @@ def count_blips(observation: np.ndarray, ratio: float = 5.0) -> int:
     return int(np.sum(away > np.maximum(ratio * around, floor)))
 
 
-def count_frozen(observation: np.ndarray) -> int:
-    """Samples of which some measured value is exactly that of the sample before (the camera lost the
-    marker)."""
-    return int(np.sum((np.diff(observation, axis=0) == 0).any(axis=1)))
+def count_frozen(observation: np.ndarray, window: int = 5) -> int:
+    """Samples that repeat a measured value exactly while the robot moves on (the camera lost the marker).
+
+    Rounded values repeat as well, at rest and where they turn. So over the `window` samples before and after,
+    the value must move the same way, each time by more than two of its smallest steps and half its median step
+    a sample.
+    """
+    rows = np.arange(len(observation))
+    frozen = np.zeros(len(rows), dtype=bool)
+    for y in np.transpose(observation):
+        steps = np.abs(np.diff(y))
+        changes = np.flatnonzero(steps) + 1
+        if not len(changes):
+            continue
+        slowest = max(2 * steps[steps > 0].min(), np.median(steps) / 2)
+        first, last = np.r_[0, changes], np.r_[changes - 1, rows[-1]]
+        before = y[first] - y[np.maximum(first - window, 0)]
+        after = y[np.minimum(last + window, rows[-1])] - y[last]
+        moving = (before * after > 0) & (np.minimum(np.abs(before), np.abs(after)) > window * slowest)
+        frozen |= np.repeat(moving, last - first + 1) & np.r_[False, steps == 0]
+    return int(frozen.sum())
 
 
 def check_seams(found, known, source: str) -> None:

@@ -39,6 +39,14 @@ def pick(columns: dict[str, np.ndarray], names, path: str | Path) -> np.ndarray:
     return np.stack([columns[name] for name in names], axis=1) if names else np.empty((length, 0))
 
 
+def open_hdf5(path: Path) -> h5py.File:
+    """The file, open for reading. Raises ValueError when it is truncated or damaged."""
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        raise ValueError(f"{path.name} cannot be read ({error}); copy or record it again") from error
+
+
 def _read_csv(path: Path) -> dict[str, np.ndarray]:
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -69,7 +77,7 @@ def _read_csv(path: Path) -> dict[str, np.ndarray]:
 
 def _read_hdf5(path: Path) -> dict[str, np.ndarray]:
     if not h5py.is_hdf5(path):
-        raise ValueError(f"{path.name} is not an HDF5 file")
+        raise ValueError(f"{path.name} is not an HDF5 file; copy or record it again, or name a CSV file .csv")
     columns: dict[str, np.ndarray] = {}
 
     def collect(name, item):
@@ -79,7 +87,7 @@ def _read_hdf5(path: Path) -> dict[str, np.ndarray]:
         columns.update({name: values} if values.ndim == 1
                        else {f"{name}_{index}": column for index, column in enumerate(values.T)})
 
-    with h5py.File(path, "r") as file:
+    with open_hdf5(path) as file:
         file.visititems(collect)
     if not columns:
         raise ValueError(f"{path.name} holds no numeric dataset; expected one per column, (T,) or (T, p)")

@@ -68,8 +68,7 @@ def save(figure: Figure, path: str | Path) -> Path:
 @_styled
 def svg(figure: Figure) -> str:
     """The figure as the text of an SVG file."""
-    text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None})
+    figure.savefig(text := io.StringIO(), format="svg", metadata={"Date": None})
     return text.getvalue()
 
 
@@ -93,8 +92,8 @@ def singular_values(values: np.ndarray, dimension: int) -> Figure:
         axes.semilogy(x, y, "o-", color="#999999", markersize=3.5)
         axes.semilogy(x[:dimension], y[:dimension], "o", color=METHODS["SSMR"][0], markersize=4.5)
         axes.set_ylabel(title)
-    bar_colours = [METHODS["SSMR"][0] if i == dimension else "#BBBBBB" for i in mode[:-1]]
-    gaps.bar(mode[:-1], values[:-1] / values[1:], color=bar_colours, width=0.7)
+    chosen = np.where(mode[:-1] == dimension, METHODS["SSMR"][0], "#BBBBBB")
+    gaps.bar(mode[:-1], values[:-1] / values[1:], color=chosen, width=0.7)
     gaps.set_ylabel(r"gap $\sigma_i/\sigma_{i+1}$ (–)")
     captured = 100 * (values[:dimension] ** 2).sum() / (values ** 2).sum()
     remainder.set_title(f"{dimension} modes capture {captured:.4g} %", fontweight="normal")
@@ -111,8 +110,7 @@ def eigenvalues(spectra: Mapping[str, np.ndarray], reference: np.ndarray | None 
     figure, axes = _panels(WIDTH / 2, 2.8)
     axes.axvline(0.0, color="#666666", linewidth=0.8)
     if reference is not None:
-        axes.plot(np.real(reference), np.imag(reference), "o", color="black", fillstyle="none", markersize=9,
-                  label="reference")
+        axes.plot(np.real(reference), np.imag(reference), "o", color="black", mfc="none", ms=9, label="reference")
     palette = colours(spectra)
     for (name, values), marker in zip(spectra.items(), "o^sDvPX" * len(spectra)):
         axes.plot(np.real(values), np.imag(values), marker, color=palette[name], markersize=4.5, label=name)
@@ -164,7 +162,7 @@ def error_over_horizon(horizons: np.ndarray, errors: Mapping[str, np.ndarray]) -
         axes.loglog(horizons[:end], MM * values[:end], color=palette[name], linestyle=_line(name), marker="o",
                     markersize=3, label=name if finite.all() else f"{name} (× diverges)")
         if 0 < end < len(values):
-            axes.plot(horizons[end - 1], MM * values[end - 1], "x", color=palette[name], markersize=9, markeredgewidth=2)
+            axes.plot(horizons[end - 1], MM * values[end - 1], "x", color=palette[name], markersize=9, mew=2)
     axes.set(xlabel="prediction horizon (s)", ylabel="mean RMSE (mm)")
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     for axis in (axes.xaxis, axes.yaxis):
@@ -246,10 +244,9 @@ def solve_times(times: Mapping[str, np.ndarray], period: float) -> Figure:
     for name, box, fliers in zip(names, boxes["boxes"], boxes["fliers"]):
         box.set(facecolor=palette[name], linewidth=0.7)
         fliers.set(markeredgecolor=palette[name], markerfacecolor=palette[name])
-    axes.set_xscale("log")
+    axes.set(xscale="log", xlabel="solve time (ms)")
     axes.set_yticks(range(1, len(names) + 1), names)
     axes.axvline(MS * period, color="black", linestyle="--", linewidth=1.0, label=f"control period, {MS * period:g} ms")
-    axes.set_xlabel("solve time (ms)")
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.grid(False, axis="y")
     _legend(figure, axes)
@@ -274,8 +271,7 @@ def ise_bars(ise: Mapping[str, Mapping[str, float]]) -> Figure:
         axes.bar(at, finite, 0.9 * width, color=palette[method], label=method)
         for x in at[np.isinf(heights)]:
             axes.annotate("failed", (x, lowest), rotation=90, ha="center", va="bottom", color=palette[method])
-    axes.set_yscale("log")
-    axes.set(xlim=(-0.5, len(ise) - 0.5), ylim=(lowest / 2, None), ylabel="ISE (mm²)")
+    axes.set(yscale="log", xlim=(-0.5, len(ise) - 0.5), ylim=(lowest / 2, None), ylabel="ISE (mm²)")
     axes.set_xticks(np.arange(len(ise)), list(ise))
     axes.grid(False, axis="x")
     _legend(figure, axes)

@@ -22,8 +22,8 @@ PATHS_PER_FIGURE = len(figures.SPARE_COLOURS)
 
 def prediction_figures(models: Mapping[str, object], scores: Mapping[str, OpenLoopScore], runs: Sequence,
                        output_names: Sequence[str], outputs: Sequence[int], shown: float = 4.0) -> dict:
-    """Error over the horizon, where there is any but the full rollout, and the first `shown` s of each model's
-    rollout over the longest controlled run, all from the scores' common margin. Of more than six models the first.
+    """Error over the horizon, and the first `shown` s of each model's rollout over the longest controlled run, from
+    the scores' common margin. Of more than six models the first.
     """
     first = next(iter(scores.values()))
     models = dict(list(models.items())[:PATHS_PER_FIGURE])
@@ -39,13 +39,10 @@ def prediction_figures(models: Mapping[str, object], scores: Mapping[str, OpenLo
     for name, model in models.items():
         time, states = predict_trajectory(model, run, margin=first.margin)
         predicted[name] = (time, states[:, outputs])
-    drawn = {"prediction": figures.prediction(run.time, run.observation[:, outputs], predicted,
-                                              [output_names[i] for i in outputs])}
-    if len(first.horizons) > 1:
-        errors = {name: np.array([part.mean for part in score.horizons[:-1]]) for name, score in scores.items()}
-        drawn["error_over_horizon"] = figures.error_over_horizon(
-            np.array([part.duration for part in first.horizons[:-1]]), errors)
-    return drawn
+    horizons = np.array([part.duration for part in first.horizons[:-1]])
+    errors = {name: np.array([part.mean for part in score.horizons[:-1]]) for name, score in scores.items()}
+    overlay = figures.prediction(run.time, run.observation[:, outputs], predicted, [output_names[i] for i in outputs])
+    return {"error_over_horizon": figures.error_over_horizon(horizons, errors), "prediction": overlay}
 
 
 def training_figures(report: Mapping[str, Mapping]) -> dict:
@@ -103,9 +100,10 @@ def closed_loop_section(records: Sequence[ClosedLoopRecord]) -> Section:
             missing.append(f"{name} has no errors: {error}.")
     drawn = {name: runs[name] for name in list(measured)[:PATHS_PER_FIGURE]}
     settings = ", ".join(f"{key} {value}" for key, value in _plant_settings(records[0]).items() if key != "_target_")
-    parts = [f"Task: {origin['task']}, {records[0].time[-1]:.1f} s, on the plant {origin['plant']}"
-             f"{f' ({settings})' if settings else ''}, measured with white noise of {1e3 * origin['noise_std']:.3g} mm. "
-             f"The controller runs the exported artifact and plans every {1e3 * origin['period']:g} ms. "
+    plant = f"{origin['plant']} ({settings})" if settings else origin["plant"]
+    parts = [f"Task: {origin['task']}, {records[0].time[-1]:.1f} s, on the plant {plant}, "
+             f"measured with white noise of {1e3 * origin['noise_std']:.3g} mm. The controller runs the exported "
+             f"artifact and plans every {1e3 * origin['period']:g} ms. "
              "Errors count from 1 s on; ISE is the sum of squared errors over the samples.",
              *missing, *_first_of(len(drawn), len(measured), "runs"), _tracking_table(runs, measured)]
     return Section(f"Closed loop: {origin['task']}", parts + (_tracking_pictures(drawn) if drawn else []))
@@ -152,7 +150,7 @@ def training_section(path: Path) -> Section:
         parts.append(Table(["regression", "rows", "features", "condition", "ridge", "residual (%)"], rows,
                            "What determined the model."))
     trained = (next(iter(fits.values()), {}).get("trajectories") or {}).items()
-    runs = dict(decay="decays", controlled="controlled runs")
+    runs = {"decay": "decays", "controlled": "controlled runs"}
     # the fit's own rule: where there are no decays, the controlled runs stand in for them
     kind, count = next(((runs[kind], count) for kind, count in trained if count), ("runs", 0))
     parts += _stored_pictures(path, [

@@ -1,6 +1,4 @@
 import inspect
-import json
-import logging
 import os
 from pathlib import Path
 
@@ -12,8 +10,6 @@ import yaml
 
 from ssmr_torch.data import readers
 from ssmr_torch.data.matlab import read_koopman_struct, read_ssmlearn_cells
-from ssmr_torch.data.recording import Recording, rest_at_end
-from ssmr_torch.trajectory import TrajectoryDataset
 
 DATA = Path(os.environ.get("SSMR_TORCH_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA}")
@@ -43,29 +39,6 @@ def object_array(rows):
         for j, array in enumerate(row):
             cells[i, j] = np.atleast_2d(array)
     return cells
-
-
-def write_csv(path, names, table):
-    np.savetxt(path, table, delimiter=",", header=",".join(names), comments="", fmt="%.10g")
-
-
-def csv_card(folder, **changes):
-    """Two decays about (5, -5, 100) mm and a controlled run in CSV, and their card; `changes` replace
-    keys."""
-    rest = np.array([5.0, -5.0, 100.0])
-    t, y = decay(200)
-    for name, scale in (("release_1", 1.0), ("release_2", -0.7)):
-        write_csv(folder / f"{name}.csv", ["t", "x", "y", "z", "u"], np.c_[t, rest + scale * y, 0 * t])
-    u = 1000 * np.sin(3 * t)
-    write_csv(folder / "inputs.csv", ["t", "x", "y", "z", "u"],
-              np.c_[t, rest + 5 * np.sin(3 * t)[:, None] * [1, 2, 3], u])
-    card = {"files": ["release_1.csv", "release_2.csv", "inputs.csv"],
-            "columns": {"time": "t", "observation": ["x", "y", "z"], "input": ["u"]},
-            "units": {"length": "mm", "input": "mN", "time": "s"}, "rest": "last sample of decays",
-            "decays": ["release_1", "release_2"], "split": {"test": ["inputs"]}, **changes}
-    path = folder / "card.yaml"
-    path.write_text(yaml.safe_dump({k: v for k, v in card.items() if v is not ...}))
-    return path
 
 
 # MATLAB layouts
@@ -153,184 +126,13 @@ def test_a_wrong_run_layout_is_refused(tmp_path, changes, message):
         read_koopman_struct(tmp_path / "wrong.mat")
 
 
-# The card
-
-def test_a_card_turns_millimetres_into_displacements_in_metres(tmp_path):
-    dataset = readers.custom(csv_card(tmp_path))
-    t, y = decay(200)
-    np.testing.assert_allclose(dataset.rest, 1e-3 * (np.array([5, -5, 100]) + 0.15 * y[-1]), atol=1e-9)
-    absolute = 1e-3 * y + [5e-3, -5e-3, 0.1]
-    np.testing.assert_allclose(dataset[0].observation, absolute - dataset.rest, atol=1e-9)
-    np.testing.assert_allclose(dataset[2].input[:, 0], np.sin(3 * t), atol=1e-9)
-    assert [(d.kind, d.split, d.name) for d in dataset] == [
-        ("decay", "train", "release_1"), ("decay", "train", "release_2"), ("controlled", "test", "inputs")]
-    assert dataset.input_unit == "N" and dataset.output_names == ("x", "y", "z")
-
-
-def test_an_hdf5_file_with_a_run_column_equals_its_csv_file(tmp_path):
-    t, y = decay(100)
-    run = np.repeat([1.0, 2.0], 100)
-    table = np.tile(y, (2, 1))
-    write_csv(tmp_path / "a.csv", ["run", "y_0", "y_1", "y_2"], np.c_[run, table])
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["y"] = np.loadtxt(tmp_path / "a.csv", delimiter=",", skiprows=1)[:, 1:]
-        file["run"], file["note"] = run, "x"
-    card = {"columns": {"run": "run", "observation": ["y_0", "y_1", "y_2"]}, "sampling_time": 10,
-            "units": {"length": "mm", "time": "ms"}, "rest": [0, 0, 0], "decays": ["a:1"],
-            "split": {"test": ["a:2"]}}
-    datasets = []
-    for file in ("a.csv", "a.h5"):
-        (tmp_path / "card.yaml").write_text(yaml.safe_dump(card | {"files": [file]}))
-        datasets.append(readers.custom(tmp_path / "card.yaml"))
-    for one, other in zip(*datasets, strict=True):
-        np.testing.assert_array_equal(one.observation, other.observation)
-        assert (one.kind, one.split, one.name) == (other.kind, other.split, other.name)
-        assert one.timestep == pytest.approx(0.01) and one.input.shape == (100, 0)
-
-
-def test_resting_samples_give_the_rest_position(tmp_path):
-    t = 0.01 * np.arange(400)
-    moving = np.where(t > 2, 10 * np.sin(5 * (t - 2)), 0.0)
-    write_csv(tmp_path / "still.csv", ["t", "x", "y", "z", "u"],
-              np.c_[t, np.array([5, -5, 100]) + moving[:, None], np.where(t > 2, 1.0, 0.0)])
-    dataset = readers.custom(csv_card(tmp_path, files=["still.csv"], decays=[], split={},
-                                      rest="median of resting samples"))
-    np.testing.assert_allclose(dataset.rest, [0.005, -0.005, 0.1], atol=1e-5)
-
-
-@pytest.mark.parametrize(("key", "nearest"), [("file", "files"), ("splits", "split"), ("seam", "seams"),
-                                              ("rests", "rest")])
-def test_an_unknown_key_of_the_card_is_refused_with_the_nearest(tmp_path, key, nearest):
-    with pytest.raises(ValueError, match=f"unknown key '{key}'; did you mean '{nearest}'"):
-        readers.custom(csv_card(tmp_path, **{key: []}))
-
-
-@pytest.mark.parametrize(("changes", "message"), [
-    ({"units": {"lenght": "mm"}}, "units has the unknown key 'lenght'; did you mean 'length'"),
-    ({"units": {"length": "inch"}}, "units.length is 'inch'"), ({"units": ...}, "the card is "
-                                                                                "incomplete.*units"),
-    ({"rest": "somewhere"}, "rest is 'somewhere'"), ({"rest": [0, 0]}, "rest has 2 entries for 3"),
-    ({"decays": ["release_9"]}, r"decays names the runs \['release_9'\].*do not exist"),
-    ({"split": {"tset": ["inputs"]}}, "unknown key 'tset'; did you mean 'test'"),
-    ({"decays": []}, "no run is a decay"), ({"sampling_time": 0.01}, "not both"), ({"files": []}, "no files"),
-    ({"seams": {"inputs": [900]}}, r"seams \[900\] lie outside the 200 rows"),
-    ({"columns": {"time": "t", "observation": ["x", "y", "tip"], "input": ["u"]}}, r"no numeric column "
-                                                                                    r"\['tip'\]; it has"),
-    ({"timestep": "fast"}, "timestep of the card is 'fast'; expected a number"),
-    ({"rest": "median of resting samples"}, "give rest as a vector"),
-    ({"minimum_length": 1000}, "no run is left")])
-def test_a_wrong_card_is_refused(tmp_path, changes, message):
-    path = csv_card(tmp_path, **changes)
-    if changes.get("rest") == "median of resting samples":
-        path = csv_card(tmp_path, files=["inputs.csv"], decays=[], **changes)
-    with pytest.raises(ValueError, match=message):
-        readers.custom(path)
-
-
-def test_a_missing_card_or_file_is_reported(tmp_path):
-    with pytest.raises(FileNotFoundError, match="no card at"):
-        readers.custom(tmp_path / "card.yaml")
-    with pytest.raises(FileNotFoundError, match="absent.csv"):
-        readers.custom(csv_card(tmp_path, files=["absent.csv"], decays=[], split={}, rest=[0, 0, 0]))
-
-
-@pytest.mark.parametrize(("text", "message"), [
-    ("", "inputs.csv is empty"), ("t,x,y,z,u\n", "has a header but no rows"),
-    ("0,1,2,3,4\n1,1,2,3,4\n", "expected the names of the columns"),
-    ("t,x,y,z,u\n0,1,2,3,4\n1,oops,2,3,4\n", r"row 1 \(from 0\), column 'x' holds 'oops'"),
-    ("t,x,y,z,u\n0,1,2,3\n", "has 4 cells, the header 5"), ("t,x,x,z,u\n0,1,2,3,4\n", "names a column "
-                                                                                      "twice")])
-def test_a_wrong_csv_file_is_refused(tmp_path, text, message):
-    path = csv_card(tmp_path)
-    (tmp_path / "inputs.csv").write_text(text)
-    with pytest.raises(ValueError, match=message):
-        readers.custom(path)
-
-
-def edit(path, row, column, value):
-    lines = path.read_text().splitlines()
-    cells = lines[row + 1].split(",")
-    cells[column] = value
-    lines[row + 1] = ",".join(cells)
-    path.write_text("\n".join(lines))
-
-
-def test_rows_with_empty_cells_are_refused_or_split_the_run(tmp_path):
-    path = csv_card(tmp_path)
-    edit(tmp_path / "inputs.csv", 80, 2, "")
-    with pytest.raises(ValueError, match=r"inputs: 1 of 200 rows are not finite, the first are rows \[80\]"):
-        readers.custom(path)
-    parts = readers.custom(csv_card_keeping(tmp_path, missing="split")).select("test")
-    assert [(p.name, p.length) for p in parts] == [("inputs/0", 80), ("inputs/1", 119)]
-
-
-def csv_card_keeping(folder, **changes):
-    card = yaml.safe_load((folder / "card.yaml").read_text()) | changes
-    (folder / "card.yaml").write_text(yaml.safe_dump(card))
-    return folder / "card.yaml"
-
-
-@pytest.mark.parametrize(("value", "word"), [("0.79", "repeats"), ("0.5", "goes back")])
-def test_time_that_does_not_increase_is_refused(tmp_path, value, word):
-    path = csv_card(tmp_path)
-    edit(tmp_path / "inputs.csv", 80, 0, value)
-    with pytest.raises(ValueError, match=f"inputs: time {word} at row 80"):
-        readers.custom(path)
-
-
-@pytest.mark.parametrize(("declared", "likely"), [("m", "cm or mm"), ("mm", "m")])
-def test_lengths_in_another_unit_than_declared_are_refused_naming_the_likely_one(tmp_path, declared, likely):
-    path = csv_card(tmp_path, units={"length": declared, "input": "mN"})
-    if declared == "mm":
-        for name in ("release_1", "release_2", "inputs"):
-            table = np.loadtxt(tmp_path / f"{name}.csv", delimiter=",", skiprows=1)
-            table[:, 1:4] *= 1e-3
-            write_csv(tmp_path / f"{name}.csv", ["t", "x", "y", "z", "u"], table)
-    with pytest.raises(ValueError, match=f"when the columns are read in {declared}.*look like .*{likely}"):
-        readers.custom(path)
-
-
-def test_declared_and_found_seams_cut_the_run(tmp_path):
-    path = csv_card(tmp_path, seams={"inputs": [50]})
-    assert [p.length for p in readers.custom(path).select("test")] == [50, 150]
-    path = csv_card(tmp_path)
-    table = np.loadtxt(tmp_path / "inputs.csv", delimiter=",", skiprows=1)
-    table[120:, 1:4] += 15
-    table[160:, 0] += 0.05
-    write_csv(tmp_path / "inputs.csv", ["t", "x", "y", "z", "u"], table)
-    dataset = readers.custom(path)
-    assert [p.length for p in dataset.select("test")] == [120, 40, 40]
-    assert dataset.provenance["seams"] == {"inputs": [120, 160]}
-
-
-def test_observations_and_inputs_of_different_length_are_refused():
-    with pytest.raises(ValueError, match="run: 5 times, 5 observations and 4 inputs"):
-        Recording("run", np.arange(5.0), np.ones((5, 1)), np.ones((4, 1)))
-
-
-def test_a_run_that_does_not_end_at_rest_gives_no_rest_position():
-    t = 0.01 * np.arange(300)
-    with pytest.raises(ValueError, match="does not end at rest; give rest as a vector"):
-        rest_at_end(t, t[:, None], t[:, None], "run")
-    np.testing.assert_allclose(rest_at_end(t, 0 * t[:, None] + 7, np.minimum(t, 1.0)[:, None], "run"), [7.0])
-
-
-# Provenance and stored files
-
-def test_the_provenance_is_plain_names_no_directory_and_is_logged(tmp_path, caplog):
-    with caplog.at_level(logging.INFO):
-        dataset = readers.custom(csv_card(tmp_path))
-    text = json.dumps(dataset.provenance)
-    assert str(tmp_path) not in text
-    assert all(len(digest) == 64 for digest in dataset.provenance["sources"].values())
-    assert all(sentence in caplog.text for sentence in dataset.provenance["assumptions"])
-
-
-def test_a_stored_dataset_is_read_back(tmp_path):
-    written = readers.custom(csv_card(tmp_path))
-    read = readers.stored(written.save(tmp_path / "runs.h5"))
-    np.testing.assert_array_equal(read[0].read().observation, written[0].observation)
-    assert read.provenance == written.provenance
+@pytest.mark.parametrize("read", [read_ssmlearn_cells, read_koopman_struct])
+def test_a_truncated_matlab_file_is_refused_with_the_remedy(tmp_path, read):
+    path = tmp_path / "cut.mat"
+    write_cells_v73(path, [decay(500)])
+    path.write_bytes(path.read_bytes()[:4000])
+    with pytest.raises(ValueError, match="cut.mat cannot be read .*truncated.*copy or record it again"):
+        read(path)
 
 
 # The published files
@@ -437,5 +239,16 @@ def test_the_configuration_spells_out_every_argument_with_its_default(name):
             assert config[key] == (list(default) if isinstance(default, tuple) else default), key
 
 
-def test_a_dataset_is_what_every_reader_returns(tmp_path):
-    assert isinstance(readers.custom(csv_card(tmp_path)), TrajectoryDataset)
+@needs_data
+def test_a_standard_example_sampled_every_95_microseconds_needs_its_own_interval_range(tmp_path):
+    time, observation = read_ssmlearn_cells(DATA / "generic" / "von_karman_beam_decay.mat")[0]
+    assert np.median(np.diff(time)) < 1e-4
+    table = np.c_[time, 1e-2 * observation[:, :1] / np.abs(observation[:, 0]).max(), 0 * time]
+    np.savetxt(tmp_path / "beam.csv", table, delimiter=",", header="t,y,u", comments="", fmt="%.12g")
+    card = {"files": ["beam.csv"], "columns": {"time": "t", "observation": ["y"], "input": ["u"]},
+            "units": {"length": "m"}, "rest": [0], "decays": ["beam"], "seams": {}}
+    (tmp_path / "card.yaml").write_text(yaml.safe_dump(card))
+    with pytest.raises(ValueError, match="interval_range"):
+        readers.custom(tmp_path / "card.yaml")
+    (tmp_path / "card.yaml").write_text(yaml.safe_dump(card | {"interval_range": [1e-5, 0.1]}))
+    assert readers.custom(tmp_path / "card.yaml").timestep == pytest.approx(np.median(np.diff(time)), rel=1e-3)

@@ -65,6 +65,22 @@ def test_blips_and_frozen_samples_are_counted():
     assert count_frozen(y) == 3
 
 
+def test_rounded_samples_at_rest_and_at_turning_points_are_not_frozen():
+    rng = np.random.default_rng(0)
+    decay = swinging(2000, noise=0.0) * np.exp(-0.004 * np.arange(2000))[:, None]
+    for noise in (0.0, 2e-5, 1e-4):
+        rounded = np.round(decay + noise * rng.normal(size=decay.shape), 4)
+        repeated = (np.diff(rounded, axis=0) == 0).any(axis=1).sum()
+        assert repeated > 500 and count_frozen(rounded) <= 0.02 * repeated, (noise, count_frozen(rounded))
+
+
+def test_a_lost_marker_is_counted_in_rounded_samples_that_move_on():
+    y = np.round(swinging(noise=0.0), 4)
+    before = count_frozen(y)
+    y[301:306] = y[300]
+    assert count_frozen(y) == before + 5
+
+
 def test_a_file_with_other_seams_than_the_known_is_refused():
     check_seams(np.array([5]), [5], "file")
     with pytest.raises(ValueError, match=r"seams found before rows \[4\], expected before rows \[5\]"):

@@ -1,0 +1,69 @@
+"""Units of recordings, and the values that give a wrong one away."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+UNITS = {"length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3}, "input": {"N": 1.0, "mN": 1e-3, "1": 1.0},
+         "time": {"s": 1.0, "ms": 1e-3}}
+LARGEST_INPUT = {"N": 100.0, "1": 10.0}
+COLUMNS = {"length": "observations", "input": "inputs", "time": "times"}
+CARD_KEYS = {"length": "range", "input": "largest_input", "time": "interval_range"}
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units of the file; everything becomes m, N and s. Input "1" stands for normalized commands."""
+
+    length: str
+    input: str = "N"
+    time: str = "s"
+
+    def __post_init__(self):
+        for key, known in UNITS.items():
+            value = str(getattr(self, key))
+            if value not in known:
+                raise ValueError(f"units.{key} is {value!r}; expected one of {list(known)}")
+            object.__setattr__(self, key, value)
+
+    @property
+    def input_inside(self) -> str:
+        """The unit of inputs in the dataset, "N" or "1"."""
+        return "1" if self.input == "1" else "N"
+
+    def scale(self, key: str) -> float:
+        return UNITS[key][getattr(self, key)]
+
+
+@dataclass(frozen=True)
+class Plausible:
+    """What a soft robot does; values outside come from a wrong unit.
+
+    displacement: smallest and largest peak displacement from rest, m. interval: smallest and largest median
+    sampling interval, s. largest_input: of any |input|, N or 1; None takes 100 N, or 10 for normalized commands.
+    """
+
+    displacement: tuple[float, float] = (1e-3, 2.0)
+    interval: tuple[float, float] = (1e-4, 0.5)
+    largest_input: float | None = None
+
+    def bounds(self, key: str, unit: str) -> tuple[float, float]:
+        """Smallest and largest plausible value, in SI units, of what a file holds in this unit."""
+        if key == "input":
+            return 0.0, self.largest_input or LARGEST_INPUT["1" if unit == "1" else "N"]
+        return self.displacement if key == "length" else self.interval
+
+    def refuse(self, key: str, value: float, units: Units, quantity: str) -> None:
+        """Raises ValueError, naming the units that are likelier, unless `value` (SI units) is plausible."""
+        unit = getattr(units, key)
+        lowest, highest = self.bounds(key, unit)
+        if lowest <= value <= highest:
+            return
+        inside = {"length": " m", "time": " s", "input": " N" if units.input_inside == "N" else ""}[key]
+        raw = value / units.scale(key)
+        likely = [name for name, scale in UNITS[key].items()
+                  if self.bounds(key, name)[0] <= raw * scale <= self.bounds(key, name)[1]]
+        guess = f"the {COLUMNS[key]} look like {' or '.join(likely)}" if likely else "no known unit makes it plausible"
+        raise ValueError(f"{quantity} is {value:.3g}{inside} when the {COLUMNS[key]} are read in {unit}; expected "
+                         f"between {lowest:g} and {highest:g}{inside}: {guess}. In a card, correct units.{key}, or "
+                         f"widen {CARD_KEYS[key]} where the value is true")
