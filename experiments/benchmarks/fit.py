@@ -52,7 +52,8 @@ def main() -> None:
     dataset = instantiate(config.excitation)(instantiate(config.plant))
     transitions = sum(t.length for t in dataset.select(kind="controlled"))
     fits = [timed_fit(dataset) for _ in range(REPEATS)]
-    score = partial(score_open_loop, fits[-1][1].tables(), dataset.select("test", "controlled"), horizons=(1.0,), starts=500)
+    score = partial(score_open_loop, fits[-1][1].tables(), dataset.select("test", "controlled"), horizons=(1.0,),
+                    starts=500)
     evaluations = []
     for _ in range(REPEATS):
         start = perf_counter()
@@ -60,7 +61,8 @@ def main() -> None:
         evaluations.append(perf_counter() - start)
     print(f"{platform.machine()}, {os.cpu_count()} cores, 1 thread; 40 decays, {transitions} controlled samples")
     print(f"fit: median {median(t for t, _ in fits):.2f} s of {REPEATS} (first {fits[0][0]:.2f} s)")
-    print(f"evaluation of the artifact's model, 500 starts of 1 s and the full runs: median {median(evaluations):.2f} s of {REPEATS}")
+    print(f"evaluation of the artifact's model, 500 starts of 1 s and the full runs: "
+          f"median {median(evaluations):.2f} s of {REPEATS}")
 
 
 if __name__ == "__main__":

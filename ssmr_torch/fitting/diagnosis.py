@@ -96,10 +96,11 @@ def warnings(report: dict, model: ReducedModel) -> list[str]:
         if regression["condition"] > ILL_CONDITIONED:
             found.append(f"The {name} regression has condition {regression['condition']:.2g}; add ridge, lower the "
                          "degree, or excite the robot more widely.")
+    joint = "use calibration=joint, " if "drift" in report["regressions"] else ""
     for kind, share in report["diverged"].items():
         if share > 0:
             found.append(f"{100 * share:.3g} % of the {kind} training rollouts diverge; add ridge, lower the degree, "
-                         "use calibration=joint, or refine with fit=rollout.")
+                         f"smooth the derivative, {joint}or refine with fit=rollout.")
     return found
 
 
