@@ -55,7 +55,10 @@ def horizon_for(model, problem: TrackingProblem) -> Horizon:
 
 
 class LinearizedHorizon:
-    """Any model, through `rollout`, `linearize` and `linearize_output`, batched over the horizon."""
+    """Any model, through `rollout`, `linearize` and `linearize_output`, batched over the horizon.
+
+    The methods are those of `Horizon`.
+    """
 
     def __init__(self, model, problem: TrackingProblem):
         self.model, self.problem = model, problem
@@ -65,6 +68,7 @@ class LinearizedHorizon:
         return states, self.model.decode(states[1:])
 
     def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
+        """Sensitivities Y = ∂(y_1 … y_N)/∂v, v = u / input_scale, give H = 2 (Yᵀ Q Y + R) and the exact gradient."""
         problem = self.problem
         N, m = inputs.shape
         states, outputs = self.rollout(state, inputs)
@@ -86,7 +90,8 @@ class LinearizedHorizon:
 class PolynomialHorizon:
     """Polynomial tables, compiled: the rate and its Jacobian are both a table times z^{0:d}.
 
-    Runge-Kutta steps of order four carry the sensitivities along; `LinearizedHorizon` is the reference.
+    Runge-Kutta steps of order four carry the sensitivities along; `LinearizedHorizon` is the reference. The methods
+    are those of `Horizon`.
     """
 
     def __init__(self, model, problem: TrackingProblem):

@@ -117,6 +117,10 @@ class SSMRLeastSquares(nn.Module):
 
     @torch.no_grad()
     def assign(self, stage: str, solutions: Mapping[str, Solution]) -> None:
+        """Put the solutions of a stage in place; doing it again changes nothing.
+
+        Raises ValueError when the data held no rows for a regression that the stage needs.
+        """
         self._check(stage, solutions)
         model, n = self.model, self.model.state_dim
         if stage == "tangent_space":
@@ -127,6 +131,7 @@ class SSMRLeastSquares(nn.Module):
             self._set_chart(orthonormal * torch.sign(triangle.diagonal()))
             self.detection_chart.copy_(model.chart[:, :model.window_dim] @ linear @ self.detection_chart)
         elif stage == "manifold":
+            self._set_chart(model.chart[:, :model.window_dim].T.clone())
             if "parametrization" in solutions:
                 coefficients = solutions["parametrization"].coefficients
                 model.parametrization[:, -coefficients.shape[1]:] += coefficients

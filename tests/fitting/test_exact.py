@@ -184,3 +184,14 @@ def test_options_that_do_not_exist_are_refused(known, options, message):
 def test_cross_validation_with_a_single_fold_is_refused():
     with pytest.raises(ValueError, match="folds is 1; cross-validation needs at least 2"):
         LeastSquaresFit(SSMRLeastSquares(SSMR(2, 2, 4, 1)), folds=1)
+
+
+def test_assigning_the_solutions_of_the_manifold_again_changes_nothing(known, solve_stages):
+    runs = known.decays(0.01, pairs=2, finest=1e-2)
+    procedure = SSMRLeastSquares(ssmr(runs))
+    solve_stages(procedure, runs, stages=("tangent_space",))
+    solve_stages(procedure, runs, stages=("manifold",))
+    once = procedure.model.parametrization.clone()
+    solve_stages(procedure, runs, stages=("manifold",))
+    torch.testing.assert_close(procedure.model.parametrization, once, rtol=1e-12, atol=1e-15)
+    assert once[:, procedure.model.state_dim:].abs().max() > 0
