@@ -1,0 +1,162 @@
+"""Letters and symbols as tasks: the tip draws an outline at constant speed, from rest and back to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from ssmr_torch.tasks.references import Task, ramped_phase
+
+ARC_STEPS = 1440  # straight pieces of pacman's arc, whose length is then right to 1e-6
+
+
+def symbol(text: str = "S", half_size: float = 0.020, duration: float = 10.0, ramp: float = 1.0,
+           tracked: Sequence[int | str] = ("tip_x", "tip_y"), font: str | None = None,
+           name: str | None = None) -> Task:
+    """The outlines of a text, one after the other, at the one speed of `constant_speed`.
+
+    The pen is never lifted: it closes each curve of `contours` and goes straight to the next, as fast as it draws.
+    Scaled by one number until the longer side of the box around the text is 2 half_size, and centred on rest.
+    half_size in m; duration in s, the ways from and to rest included; ramp in s; font: a .ttf or .otf file, DejaVu
+    Sans by default; name: the text by default.   Raises ValueError for a size that is not positive, and as
+    `contours` and `constant_speed` do.
+    """
+    if not (np.isfinite(half_size) and half_size > 0):
+        raise ValueError(f"the letters reach {half_size} m from their centre; expected a positive half_size in m")
+    corners = np.concatenate(contours(text, font))
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    corners = (corners - (low + high) / 2) * (2 * half_size / (high - low).max())
+    return constant_speed(corners, duration, ramp, tracked, text if name is None else name)
+
+
+def pacman(radius: float = 0.020, mouth: float = np.pi / 3, duration: float = 10.0, ramp: float = 1.0,
+           tracked: Sequence[int | str] = ("tip_x", "tip_y"), name: str = "pacman") -> Task:
+    """A disc around rest that opens its mouth towards +x, (2 + 2π − mouth) radius long, from and to its centre.
+
+    radius in m; mouth, the angle between the two straight edges, in rad; duration and ramp in s.
+    Raises ValueError for a radius that is not positive or a mouth outside (0, 2π), and as `constant_speed` does.
+    """
+    if not (np.isfinite(radius) and radius > 0):
+        raise ValueError(f"pacman's radius is {radius} m; expected a positive length in m")
+    if not 0 < mouth < 2 * np.pi:
+        raise ValueError(f"pacman's mouth opens by {mouth} rad; expected more than 0 and less than 2π = 6.283, "
+                         "for 60 degrees 1.0472")
+    angle = np.linspace(mouth / 2, 2 * np.pi - mouth / 2, ARC_STEPS + 1)
+    return constant_speed(radius * np.stack([np.cos(angle), np.sin(angle)], axis=1), duration, ramp, tracked, name)
+
+
+def constant_speed(corners: np.ndarray, duration: float, ramp: float, tracked: Sequence[int | str],
+                   name: str) -> Task:
+    """Straight from rest through corners (n, 2) m and straight back to rest, at |v| = length / (duration − ramp).
+
+    The arc length is the phase of `ramped_phase`: along the path, position, velocity and acceleration are
+    continuous; at a corner the direction jumps. Speeding up takes |v| ramp / 2 of the way, slowing down as much:
+    corners nearer to rest than that are passed more slowly.   duration, of the whole, and ramp in s.
+    Raises ValueError unless two outputs are tracked and both ramps fit into the duration.
+    """
+    if len(tracked) != 2:
+        raise ValueError(f"task {name!r} tracks {len(tracked)} outputs, {tuple(tracked)}; a drawing is plane: "
+                         "name two, such as (tip_x, tip_y)")
+    if not (np.isfinite(duration) and 0 <= 2 * ramp <= duration and duration > 0):
+        raise ValueError(f"task {name!r} lasts {duration} s with ramps of {ramp} s; expected a positive duration "
+                         "and a ramp from zero to half of it: shorten the ramp or lengthen the duration")
+    corners = np.concatenate([np.zeros((1, 2)), corners, np.zeros((1, 2))])
+    steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    corners = corners[np.append(True, steps > 0)]
+    travelled = np.append(0.0, np.cumsum(steps[steps > 0]))
+    x, y = np.ascontiguousarray(corners.T)
+    phase, _ = ramped_phase(travelled[-1], travelled[-1] / (duration - ramp), ramp)
+
+    def path(time):
+        distance = phase(time)
+        return np.stack([np.interp(distance, travelled, x), np.interp(distance, travelled, y)], axis=-1)
+
+    return Task(name, duration, tuple(tracked), path)
+
+
+def contours(text: str, font: str | None = None, steps: int = 64) -> list[np.ndarray]:
+    """The closed curves (n, 2) around the text's glyphs and their holes, in font units, y up; last point = first.
+
+    The glyphs stand side by side by their advance widths, without kerning. Each Bézier curve of the font becomes
+    `steps` straight pieces, which shortens it by a share of order 1 / steps².
+    Raises FileNotFoundError without the font; ValueError for a file that is none, for a character that it lacks, for
+    no steps and for a text that leaves nothing to draw.
+    """
+    if not isinstance(text, str) or steps < 1:
+        raise ValueError(f"the text is {text!r} and a curve has {steps} steps; expected a string (quote a number) "
+                         "and at least 1")
+    # Only here: neither a controller nor another task shall have to wait for fontTools.
+    from fontTools.ttLib import TTFont, TTLibError
+
+    file = _font_file(font)
+    try:
+        source = TTFont(file)
+    except TTLibError as problem:
+        raise ValueError(f"{file} is not a font ({problem}); expected a .ttf or .otf file with one face") from problem
+    with source:
+        names, glyphs, curves, advance = source.getBestCmap() or {}, source.getGlyphSet(), [], 0.0
+        missing = sorted({character for character in text if ord(character) not in names})
+        if missing:
+            raise ValueError(f"{file.name} has no glyph for {', '.join(map(repr, missing))} of the text {text!r}; "
+                             "leave them out or give a font that has them")
+        for character in text:
+            glyph = glyphs[names[ord(character)]]
+            curves += [curve + (advance, 0.0) for curve in _flattened(glyph, glyphs, steps)]
+            advance += glyph.width
+    if not curves:
+        raise ValueError(f"the text {text!r} leaves nothing to draw; give at least one letter")
+    return curves
+
+
+def _flattened(glyph, glyphs, steps: int) -> list[np.ndarray]:
+    """The closed contours of one glyph, each curve in `steps` straight pieces; a contour of one point is none."""
+    from fontTools.pens.basePen import BasePen
+
+    fractions = np.arange(1, steps + 1)[:, None] / steps
+    drawn = []
+
+    class Pen(BasePen):
+        """Splits the font's splines into quadratic and cubic Bézier curves and follows components."""
+
+        def _moveTo(self, point):
+            drawn.append([point])
+
+        def _lineTo(self, point):
+            drawn[-1].append(point)
+
+        def _qCurveToOne(self, control, end):
+            drawn[-1].extend(_bezier(fractions, self._getCurrentPoint(), control, end))
+
+        def _curveToOne(self, first, second, end):
+            drawn[-1].extend(_bezier(fractions, self._getCurrentPoint(), first, second, end))
+
+    glyph.draw(Pen(glyphs))
+    closed = [np.array([*contour, contour[0]], dtype=np.float64) for contour in drawn]
+    return [contour for contour in closed if np.ptp(contour, axis=0).any()]
+
+
+def _bezier(t: np.ndarray, *controls: Sequence[float]) -> np.ndarray:
+    """De Casteljau: the curve with these control points at t (n, 1) → (n, 2)."""
+    points = [np.asarray(point, dtype=np.float64) for point in controls]
+    while len(points) > 1:
+        points = [(1 - t) * start + t * end for start, end in zip(points, points[1:])]
+    return points[0]
+
+
+def _font_file(font: str | None) -> Path:
+    """The given file, or DejaVu Sans of an installed matplotlib, which is not imported for it."""
+    if font is not None:
+        file, remedy = Path(font), "give a .ttf or .otf file, or leave the font out for matplotlib's DejaVu Sans"
+    else:
+        found = find_spec("matplotlib")
+        if found is None:
+            raise FileNotFoundError("DejaVu Sans comes with matplotlib, which is not installed; "
+                                    "install it or give font, a .ttf or .otf file")
+        file = Path(found.submodule_search_locations[0], "mpl-data", "fonts", "ttf", "DejaVuSans.ttf")
+        remedy = "this matplotlib has no fonts of its own; give font, a .ttf or .otf file"
+    if not file.is_file():
+        raise FileNotFoundError(f"there is no font {file}; {remedy}")
+    return file

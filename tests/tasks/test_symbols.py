@@ -1,0 +1,195 @@
+"""Claims about letters and symbols."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from fontTools.fontBuilder import FontBuilder
+from fontTools.pens.t2CharStringPen import T2CharStringPen
+
+from ssmr_torch.tasks.symbols import contours, pacman, symbol
+
+EXAMPLES = {"S": symbol(), "I": symbol("I"), "ASL": symbol("ASL", ramp=0.7), "ETH": symbol("ETH", ramp=0.7),
+            "two words": symbol("a b", half_size=0.01, duration=20.0), "pacman": pacman()}
+
+
+def length(points):
+    return np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+
+
+def speed(task, time, h=1e-6):
+    return np.linalg.norm(task.reference(time + h) - task.reference(time - h), axis=1) / (2 * h)
+
+
+@pytest.fixture
+def circle_font(tmp_path):
+    """A font of cubic Bézier curves whose O is a circle of radius 1000 and whose I has nothing to draw."""
+    builder = FontBuilder(2000, isTTF=False)
+    builder.setupGlyphOrder([".notdef", "O", "I"])
+    builder.setupCharacterMap({ord("O"): "O", ord("I"): "I"})
+    empty, pen = T2CharStringPen(2000, None), T2CharStringPen(2000, None)
+    pen.moveTo((1000, 0))
+    for quarter in range(4):
+        turn = np.linalg.matrix_power([[0, -1], [1, 0]], quarter)
+        pen.curveTo(*(tuple(turn @ point) for point in ((1000, 552), (552, 1000), (0, 1000))))
+    pen.closePath()
+    drawn = {".notdef": empty.getCharString(), "O": pen.getCharString(), "I": empty.getCharString()}
+    builder.setupCFF("Circle", {}, drawn, {})
+    builder.setupHorizontalMetrics({name: (2000, 0) for name in drawn})
+    builder.setupHorizontalHeader()
+    builder.save(tmp_path / "circle.otf")
+    return str(tmp_path / "circle.otf")
+
+
+@pytest.mark.parametrize("task", EXAMPLES.values(), ids=EXAMPLES)
+def test_the_drawing_starts_and_ends_at_rest_standing_still(task):
+    np.testing.assert_array_equal(task.reference([0.0, task.duration, task.duration + 1.0]), 0.0)
+    for end, side in ((0.0, 1), (task.duration, -1)):
+        assert np.abs(task.reference(end + side * 1e-3)).max() < 1e-9
+
+
+@pytest.mark.parametrize("task", EXAMPLES.values(), ids=EXAMPLES)
+def test_between_the_ramps_the_speed_is_constant(task):
+    time = np.linspace(1.0 + 1e-3, task.duration - 1.0 - 1e-3, 2003)
+    speeds = speed(task, time)
+    # A difference that happens to span a corner measures the chord, which is shorter: rare, as it is 2e-6 s wide.
+    assert np.mean(np.abs(speeds / np.median(speeds) - 1) < 1e-2) > 0.998
+    total = length(task.reference(np.linspace(0, task.duration, 200001)))
+    ramp = 0.7 if task.name in ("ASL", "ETH") else 1.0
+    assert np.median(speeds) == pytest.approx(total / (task.duration - ramp), rel=1e-3)
+
+
+def test_the_speed_along_the_drawing_changes_without_jumps():
+    """On a grid twice as fine the largest change of the acceleration along the path halves; a jump would stay."""
+    changes = []
+    for samples in (2001, 4001):
+        time = np.linspace(-0.1, 1.2, samples)  # s, on the straight from rest to the S: the distance is the arc length
+        distance = np.linalg.norm(EXAMPLES["S"].reference(time), axis=1)
+        changes.append(np.abs(np.diff(distance, 3)).max() * (samples - 1.0) ** 2)
+    assert changes[1] < 0.6 * changes[0]
+
+
+@pytest.mark.parametrize(("word", "half_size"), [("S", 0.02), ("I", 0.02), ("ASL", 0.02), ("ETH", 0.02),
+                                                 ("two words", 0.01)])
+def test_a_text_fills_its_box_in_one_direction_and_is_centred(word, half_size):
+    points = EXAMPLES[word].reference(np.linspace(0, EXAMPLES[word].duration, 100001))
+    np.testing.assert_allclose(points.max(axis=0), -points.min(axis=0), rtol=0, atol=2e-3 * half_size)
+    assert np.abs(points).max() <= half_size * (1 + 1e-12)
+    assert np.abs(points).max() == pytest.approx(half_size, rel=1e-3)
+
+
+@pytest.mark.parametrize("word", ["ASL", "ETH"])
+def test_the_configured_ramps_leave_every_letter_at_full_speed(word):
+    """The slow part is the straight between rest and the letters: on a ray from rest."""
+    task = EXAMPLES[word]
+    for time in (np.linspace(0, 0.7, 50)[1:], task.duration - np.linspace(0, 0.7, 50)[1:]):
+        slow = task.reference(time)
+        np.testing.assert_allclose(slow[:, 0] * slow[-1, 1], slow[:, 1] * slow[-1, 0], rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(("text", "expected"), [("I", 1), ("S", 1), ("O", 2), ("A", 2), ("B", 3), ("i", 2), ("é", 3),
+                                                ("ASL", 4), ("ETH", 3), ("A A", 4)])
+def test_every_outline_and_every_hole_is_one_closed_contour(text, expected):
+    found = contours(text)
+    assert len(found) == expected
+    for contour in found:
+        np.testing.assert_array_equal(contour[0], contour[-1])
+
+
+def test_the_outline_of_an_upright_bar_is_its_rectangle():
+    (bar,) = contours("I")
+    width, height = np.ptp(bar, axis=0)
+    assert len(bar) == 5 and height > 5 * width
+    assert length(bar) == pytest.approx(2 * (width + height), rel=1e-14)
+    total = length(symbol("I").reference(np.linspace(0, 10.0, 200001)))
+    ways = 2 * np.hypot(0.02, 0.02 * width / height)
+    assert total == pytest.approx(0.08 * (1 + width / height) + ways, rel=1e-4)
+
+
+@pytest.mark.parametrize("text", ["S", "O", "é"])
+def test_the_length_of_an_outline_converges_with_the_square_of_the_steps(text):
+    lengths = [sum(map(length, contours(text, steps=steps))) for steps in (8, 16, 32, 64)]
+    changes = np.diff(lengths)
+    assert (changes > 0).all()
+    np.testing.assert_allclose(changes[:-1] / changes[1:], 4.0, rtol=0.05)
+    assert changes[-1] < 1e-4 * lengths[-1]
+
+
+def test_letters_stand_side_by_side_in_reading_order():
+    (alone,), (first, *_, last) = contours("I"), contours("IAI")
+    np.testing.assert_array_equal(first, alone)
+    shift = last - first
+    assert np.ptp(shift, axis=0).max() == 0 and shift[0, 0] > np.ptp(contours("A")[1], axis=0)[0] and shift[0, 1] == 0
+
+
+def test_a_font_file_of_cubic_curves_is_drawn_as_well(circle_font):
+    (circle,) = contours("O", circle_font)
+    np.testing.assert_allclose(np.linalg.norm(circle, axis=1), 1000, rtol=5e-4)
+    assert length(circle) == pytest.approx(2000 * np.pi, rel=5e-4)
+    with pytest.raises(ValueError, match="nothing to draw"):
+        symbol("I", font=circle_font)
+
+
+@pytest.mark.parametrize(("radius", "mouth"), [(0.02, np.pi / 3), (0.01, 0.1), (0.03, 5.0)])
+def test_pacman_is_an_arc_and_two_radii_long(radius, mouth):
+    task = pacman(radius, mouth)
+    points = task.reference(np.linspace(0, 10.0, 100001))
+    expected = radius * (2 + 2 * np.pi - mouth)
+    assert length(points) == pytest.approx(expected, rel=1e-4)
+    assert np.median(speed(task, np.linspace(1.1, 8.9, 501))) == pytest.approx(expected / 9.0, rel=1e-5)
+    away = np.linalg.norm(points, axis=1)
+    assert away.max() == pytest.approx(radius, rel=1e-9)
+    on_arc = points[away > radius * (1 - 1e-5)]
+    assert np.abs(np.arctan2(on_arc[:, 1], on_arc[:, 0])).min() == pytest.approx(mouth / 2, abs=1e-3)
+
+
+def test_the_name_is_the_text_unless_it_is_given():
+    assert symbol("ASL").name == "ASL" and symbol("ASL", name="lab").name == "lab" and pacman().name == "pacman"
+
+
+def test_a_text_that_cannot_be_drawn_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="no glyph for '漢' of the text 'A漢'"):
+        symbol("A漢")
+    for text in ("", "  "):
+        with pytest.raises(ValueError, match="at least one letter"):
+            symbol(text)
+    with pytest.raises(ValueError, match="quote a number"):
+        symbol(8)
+    with pytest.raises(ValueError, match="0 steps"):
+        contours("S", steps=0)
+    with pytest.raises(FileNotFoundError, match="none.ttf; give a .ttf or .otf file"):
+        symbol(font=str(tmp_path / "none.ttf"))
+    (tmp_path / "text.ttf").write_text("no font")
+    with pytest.raises(ValueError, match="is not a font"):
+        symbol(font=str(tmp_path / "text.ttf"))
+
+
+@pytest.mark.parametrize(("build", "message"), [
+    (lambda: symbol(half_size=0.0), "reach 0.0 m"),
+    (lambda: symbol(half_size=float("nan")), "reach nan m"),
+    (lambda: pacman(radius=-0.02), "radius is -0.02 m"),
+    (lambda: pacman(mouth=0.0), "opens by 0.0 rad"),
+    (lambda: pacman(mouth=60.0), "for 60 degrees 1.0472"),
+    (lambda: symbol(duration=-1.0), "lasts -1.0 s"),
+    (lambda: symbol(ramp=-1.0), "ramps of -1.0 s"),
+    (lambda: symbol(duration=2.0, ramp=1.5), "shorten the ramp"),
+    (lambda: symbol(tracked=("tip_x", "tip_y", "tip_z")), "tracks 3 outputs"),
+    (lambda: pacman(tracked=("tip_x",)), "tracks 1 outputs"),
+    (lambda: pacman(tracked=("tip_x", "tip_x")), "each once"),
+])
+def test_sizes_times_and_outputs_without_meaning_are_refused(build, message):
+    with pytest.raises(ValueError, match=message):
+        build()
+
+
+def test_neither_matplotlib_nor_an_early_import_of_fonttools_is_needed():
+    code = ("import sys, ssmr_torch.tasks.symbols as symbols; assert 'fontTools' not in sys.modules; "
+            "symbols.symbol(); assert 'fontTools' in sys.modules and 'matplotlib' not in sys.modules")
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_without_matplotlib_a_font_has_to_be_given(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(FileNotFoundError, match="give font"):
+        symbol()
