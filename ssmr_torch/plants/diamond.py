@@ -1,0 +1,46 @@
+"""The paper's diamond: a frame of four arms on a base, each elbow pulled by a cable."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+import numpy as np
+
+from ssmr_torch.plants.finite_element.cables import Cables
+from ssmr_torch.plants.finite_element.mesh_files import read_mesh
+from ssmr_torch.plants.finite_element.robot import FiniteElementRobot, plain
+from ssmr_torch.plants.finite_element.structure import Mechanics
+
+SILICONE = Mechanics(young=175e3, poisson=0.45, mass=0.45, mass_damping=2.5, stiffness_damping=0.01,
+                     gravity=(0.0, 0.0, -9.81))
+CLAMP = (-0.015, -0.015, -0.040), (0.015, 0.015, 0.010)  # m
+# The authors' tip node lies at (-4.8, 1.6, 125.4) mm, ours at (0, 0, 125.7): this point is nearest to either.
+MARKERS = MappingProxyType({"tip": (-0.0035, 0.001, 0.1255), "elbow_+y": (0.0, 0.097, 0.046),
+                            "elbow_-x": (-0.097, 0.0, 0.046), "elbow_-y": (0.0, -0.097, 0.046),
+                            "elbow_+x": (0.097, 0.0, 0.046)})
+# Mesh files stand on the side: the robot's z is their y.
+ROTATION = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+RAISED = (0.0, 0.0, 0.035)  # m
+ATTACHMENTS = np.array([[0.0, 0.097, 0.045], [-0.097, 0.0, 0.045], [0.0, -0.097, 0.045], [0.097, 0.0, 0.045]])  # m
+ANCHORS = np.array([[0.0, 0.010, 0.030], [-0.010, 0.0, 0.030], [0.0, -0.010, 0.030], [0.010, 0.0, 0.030]])  # m
+INPUTS = ("elbow_+y", "elbow_-x", "elbow_-y", "elbow_+x")
+
+
+class Diamond(FiniteElementRobot):
+    """A frame of silicone, 200 mm wide and 160 mm high, standing on its clamped base (paper, Fig. 2).
+
+    mesh: of this package, or a file in the orientation of the authors'.   length_unit: of the file.
+    input: tensions of the cables from the elbows at +y, −x, −y, +x to points in space at the base, N.
+    mechanics: changes of `SILICONE` by name.   The rest is as in `FiniteElementRobot`.
+    """
+
+    def __init__(self, mesh: str = "diamond", length_unit: str = "mm", markers: Mapping = MARKERS,
+                 input_bounds: Sequence = (0.0, 1.5), timestep: float = 0.01, scheme: str = "backward_euler",
+                 linear_solver: str = "block_ldl", **mechanics):
+        body = read_mesh(mesh, length_unit).moved(ROTATION, RAISED)
+        super().__init__("diamond", body, Cables(body, ANCHORS, ATTACHMENTS[:, None]), SILICONE.changed(mechanics),
+                         body.nodes_in_box(*CLAMP), markers, INPUTS, input_bounds, timestep, scheme, linear_solver)
+        self.parameters = plain({"mesh": str(mesh), "length_unit": length_unit, "markers": markers,
+                                 "input_bounds": input_bounds, "timestep": timestep, "scheme": scheme,
+                                 "linear_solver": linear_solver, **mechanics})

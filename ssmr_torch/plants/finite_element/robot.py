@@ -1,0 +1,170 @@
+"""A finite-element robot as a plant."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ssmr_torch.plants.base import finite_vector, input_range
+from ssmr_torch.plants.finite_element.cables import Cables
+from ssmr_torch.plants.finite_element.equilibrium import equilibrium
+from ssmr_torch.plants.finite_element.linear_solvers import linear_solver
+from ssmr_torch.plants.finite_element.mesh import TetrahedralMesh
+from ssmr_torch.plants.finite_element.structure import Linearization, Mechanics, Structure
+from ssmr_torch.plants.finite_element.time_stepping import SCHEMES, DivergenceError, State
+
+AXES = ("x", "y", "z")
+
+
+class FiniteElementRobot:
+    """A clamped elastic body of tetrahedra that cables pull; a Plant.
+
+    markers: name → a node's number, or a point (3,) m in the undeformed body, which stands for the node nearest to it;
+    the first is the tip, where the payload hangs. The observation is their displacement from the rest of the nominal
+    robot (no payload, stiffness_scale 1): a loaded robot starts at its own rest, which is elsewhere.
+    input_bounds: (2,) or (2, m) N, the lowest zero or more, as cables only pull.
+    scheme: "backward_euler" (the reference), "generalized_alpha" or "bdf2"; the last two need the neo-Hookean law.
+    linear_solver: "block_ldl", "superlu" or "pardiso".
+
+    state: positions of all nodes (3 N), velocities of the free degrees of freedom (n), the scheme's memory.
+    clipped: steps since reset whose input was out of bounds.   A step that diverges (not finite, or further away than
+    `FARTHEST` times the body's size) raises DivergenceError and leaves the state as it was.
+    Raises ValueError for markers, bounds, times or schemes that cannot be.
+    """
+
+    FARTHEST = 3.0
+    input_unit = "N"
+
+    def __init__(self, name: str, mesh: TetrahedralMesh, cables: Cables, mechanics: Mechanics, clamped: np.ndarray,
+                 markers: Mapping[str, int | Sequence[float]], input_names: Sequence[str], input_bounds: Sequence,
+                 timestep: float, scheme: str, solver: str):
+        if not (0 < timestep < np.inf):
+            raise ValueError(f"timestep is {timestep} s; expected a positive time")
+        if scheme not in SCHEMES:
+            raise ValueError(f"scheme is {scheme!r}; expected one of {tuple(SCHEMES)}")
+        if (scheme == "backward_euler") != (mechanics.law == "corotational"):
+            raise ValueError(f"scheme {scheme!r} with law {mechanics.law!r}: the corotational law has no exact tangent "
+                             "for Newton's method, and one linear solve per step limit-cycles with the neo-Hookean; "
+                             "use backward_euler with corotational, generalized_alpha or bdf2 with neo_hookean")
+        self.name, self.timestep = name, float(timestep)
+        self.markers = {marker: _node(mesh, marker, place) for marker, place in markers.items()}
+        if not self.markers:
+            raise ValueError("no markers; name one at least, the tip first")
+        self.output_names = tuple(f"{marker}_{axis}" for marker in self.markers for axis in AXES)
+        self.input_names = tuple(input_names)
+        self.input_bounds = input_range(input_bounds, cables.count, "N")
+        if (self.input_bounds[0] < 0).any():
+            raise ValueError(f"the lowest inputs are {self.input_bounds[0].tolist()} N; expected 0 or more, cables "
+                             "only pull")
+        self._nodes = np.array(list(self.markers.values()))
+        tip = int(self._nodes[0])
+        self.structure = Structure(mesh, cables, mechanics, clamped, tip)
+        self._solver, self._scheme = linear_solver(solver, self.structure.sparsity), SCHEMES[scheme]()
+        slack = self.input_bounds[0]
+        self._rest = equilibrium(self.structure, slack)
+        nominal = self._rest if mechanics == mechanics.nominal else equilibrium(
+            Structure(mesh, cables, mechanics.nominal, clamped, tip), slack, self._rest)
+        self.rest = nominal[self._nodes].ravel()
+        self.clipped = 0
+        self._state = self._resting(self._rest)
+
+    @property
+    def origin(self) -> dict:
+        """What the robot was made from, beyond its parameters: size and hash of the mesh."""
+        mesh = self.structure.mesh
+        content = hashlib.sha256(mesh.nodes.tobytes() + mesh.tetrahedra.tobytes()).hexdigest()
+        return {"nodes": len(mesh.nodes), "tetrahedra": len(mesh.tetrahedra), "sha256": content}
+
+    @property
+    def state(self) -> np.ndarray:
+        return np.concatenate([self._state.positions.ravel(), self._state.velocities, self._state.memory.ravel()])
+
+    @property
+    def displacement(self) -> np.ndarray:
+        return self._state.positions[self._nodes].ravel() - self.rest
+
+    @property
+    def positions(self) -> np.ndarray:
+        """(N, 3) m, where all nodes are now."""
+        return self._state.positions.copy()
+
+    @property
+    def undeformed(self) -> np.ndarray:
+        """The state of the mesh as it was read, without motion."""
+        start = self._resting(self.structure.mesh.nodes)
+        return np.concatenate([start.positions.ravel(), start.velocities, start.memory.ravel()])
+
+    def reset(self, seed: int | None = None, state: np.ndarray | None = None) -> np.ndarray:
+        """Go to `state` (default: rest); nothing here is random, so `seed` has no effect."""
+        self._state = self._resting(self._rest) if state is None else self._unpacked(state)
+        self.clipped = 0
+        return self.displacement
+
+    def step(self, input: np.ndarray) -> np.ndarray:
+        """Hold the tensions (m,) N for one timestep, clipped to the bounds and counted; a misfit raises ValueError."""
+        tensions = finite_vector(input, len(self.input_names), "input")
+        within = np.clip(tensions, *self.input_bounds)
+        with np.errstate(all="ignore"):  # what overflows is refused below
+            found = self._scheme.step(self.structure, self._solver, self._state, within, self.timestep)
+        self._refuse_divergence(found, within)
+        self._state = found
+        self.clipped += int((within != tensions).any())
+        return self.displacement
+
+    def settle(self, input: np.ndarray) -> np.ndarray:
+        """Go to the static equilibrium under tensions (m,) N within the bounds; the observation there."""
+        tensions = np.clip(finite_vector(input, len(self.input_names), "input"), *self.input_bounds)
+        self._state = self._resting(equilibrium(self.structure, tensions, self._state.positions))
+        return self.displacement
+
+    def linearization(self, state: np.ndarray | None = None, input: np.ndarray | None = None) -> Linearization:
+        """Mass, damping, stiffness and input matrices at a state (default: now) and tensions (default: lowest)."""
+        positions = (self._state if state is None else self._unpacked(state)).positions
+        tensions = self.input_bounds[0] if input is None else finite_vector(input, len(self.input_names), "input")
+        return self.structure.linearization(positions, tensions)
+
+    @property
+    def output_matrix(self) -> np.ndarray:
+        """(p, n), observation of a displacement of the free degrees of freedom; zero rows for clamped markers."""
+        sparsity = self.structure.sparsity
+        matrix = np.zeros((len(self.output_names), sparsity.size))
+        for row, node in enumerate(self._nodes):
+            if sparsity.number[node] >= 0:
+                for axis in range(3):
+                    matrix[3 * row + axis, 3 * sparsity.number[node] + axis] = 1.0
+        return matrix
+
+    def _resting(self, positions: np.ndarray) -> State:
+        size = self.structure.sparsity.size
+        return State(positions.copy(), np.zeros(size), np.zeros((self._scheme.memory_rows, size)))
+
+    def _unpacked(self, state: np.ndarray) -> State:
+        shape, size, rows = self._rest.shape, self.structure.sparsity.size, self._scheme.memory_rows
+        vector = finite_vector(state, self._rest.size + (1 + rows) * size, "state")
+        positions, velocities, memory = np.split(vector, [self._rest.size, self._rest.size + size])
+        return State(positions.reshape(shape), velocities, memory.reshape(rows, size))
+
+    def _refuse_divergence(self, found: State, tensions: np.ndarray) -> None:
+        size = np.ptp(self.structure.mesh.nodes, axis=0).max()
+        farthest = np.abs(found.positions - self._rest).max()
+        if not (np.isfinite(found.velocities).all() and farthest <= self.FARTHEST * size):
+            raise DivergenceError(f"{self.name} diverged under the tensions {tensions.tolist()} N: a node moved "
+                                  f"{farthest:.3g} m, the body measures {size:.3g} m; the state before the step "
+                                  "stands: lower the inputs or the timestep")
+
+
+def plain(value):
+    """A constructor's argument as JSON has it."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    return value if np.ndim(value) == 0 else np.asarray(value).tolist()
+
+
+def _node(mesh: TetrahedralMesh, marker: str, place: int | Sequence[float]) -> int:
+    if np.ndim(place) == 0:
+        if int(place) != place or not 0 <= place < len(mesh.nodes):
+            raise ValueError(f"marker {marker!r} is node {place}; the mesh has the nodes 0 to {len(mesh.nodes) - 1}")
+        return int(place)
+    return mesh.nearest_node(finite_vector(place, 3, f"marker {marker!r}"))
