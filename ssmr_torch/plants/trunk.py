@@ -15,7 +15,7 @@ from ssmr_torch.plants.finite_element.structure import Mechanics
 SILICONE = Mechanics(young=450e3, poisson=0.45, mass=0.042, mass_damping=0.1, stiffness_damping=0.1,
                      gravity=(0.0, 0.0, 9.81))
 CLAMP = (-0.020, -0.020, 0.0), (0.020, 0.020, 0.020)  # m
-# The tip node of the authors' mesh lies at the rim, (5, 0, 195) mm, ours at the centre: this point is nearest to either.
+# The authors' tip node lies at the rim, (5, 0, 195) mm, ours at the centre: this point is nearest to either.
 MARKERS = MappingProxyType({"tip": (0.002, 0.0, 0.195), "middle": (0.0, 0.0, 0.130), "upper": (0.0, 0.0, 0.065)})
 ANCHORS = np.array([[0.0, 0.010, 0.0], [-0.010, 0.0, 0.0], [0.0, -0.010, 0.0], [0.010, 0.0, 0.0]])  # m
 TURN = 1.57  # rad between two cables, the authors' number

@@ -11,6 +11,8 @@ from scipy.sparse.csgraph import connected_components
 
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])  # seen from outside, counter-clockwise
 
+ON_A_FACE = 1e-9  # of a barycentric coordinate: a point on a face is inside, whatever rounding says
+
 
 @dataclass(frozen=True, eq=False)
 class TetrahedralMesh:
@@ -78,7 +80,7 @@ class TetrahedralMesh:
             last = np.einsum("eij,ej->ei", inverse, point - first)
             outside = np.maximum((-last).max(axis=1), last.sum(axis=1) - 1)
             deepest = int(np.argmin(outside))
-            if outside[deepest] > 0:
+            if outside[deepest] > ON_A_FACE:
                 deepest = int(np.argmin(np.linalg.norm(centres - point, axis=1)))
             nodes.append(self.tetrahedra[deepest])
             weights.append([1 - last[deepest].sum(), *last[deepest]])

@@ -1,4 +1,4 @@
-"""PARDISO through MKL's C interface: analysed once, factorized and solved on one thread. The only file that knows MKL."""
+"""PARDISO through MKL's C interface, analysed once, on one thread. The only file that knows MKL."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ class GeneralizedAlpha:
         m, f = 1 - self.alpha_m, 1 - self.alpha_f
         moved = h * v + h * h * (0.5 - self.beta) * a
         sped = h * (1 - self.gamma) * a
-        found = _newton(structure, solver, state.positions, tensions, a,
+        found = _newton(structure, solver, state.positions, tensions,
                         inertia=(m, self.alpha_m * a), velocity=(f * self.gamma * h, v + f * sped),
                         displacement=(f * self.beta * h * h, f * moved), extrapolated=f * h * v)
         velocities = v + sped + h * self.gamma * found
@@ -112,7 +112,7 @@ class BDF2:
 
     def step(self, structure, solver, state, tensions, timestep):
         h, v, (moved_before, sped_before) = 2 * timestep / 3, state.velocities, state.memory
-        found = _newton(structure, solver, state.positions, tensions, v,
+        found = _newton(structure, solver, state.positions, tensions,
                         inertia=(1 / h, (sped_before / 3 - v) / h), velocity=(1.0, np.zeros_like(v)),
                         displacement=(h, -moved_before / 3), extrapolated=timestep * v)
         step = h * found - moved_before / 3
@@ -135,7 +135,7 @@ def _displaced(structure: Structure, positions: np.ndarray, displacement: np.nda
     return moved
 
 
-def _newton(structure, solver, positions, tensions, guess, inertia, velocity, displacement, extrapolated):
+def _newton(structure, solver, positions, tensions, inertia, velocity, displacement, extrapolated):
     """x with M a + C v + f(q) = M g + H(q) u, where a, v and q − positions are each factor · x + offset.
 
     A step that does not lower the residual is halved. Raises DivergenceError when the tolerance is not reached.
@@ -152,7 +152,8 @@ def _newton(structure, solver, positions, tensions, guess, inertia, velocity, di
         inertial = structure.mass * (inertia[0] * x + inertia[1])
         return inertial + damper @ (velocity[0] * x + velocity[1]) - force, np.linalg.norm(inertial)
 
-    x, weight = guess, np.linalg.norm(structure.mass) * np.linalg.norm(mechanics.gravity)
+    x = (extrapolated - displacement[1]) / displacement[0]
+    weight = np.linalg.norm(structure.mass) * np.linalg.norm(mechanics.gravity)
     for _ in range(NEWTON_ITERATIONS):
         tangent = structure.zeros()
         left, inertial = residual(x, tangent)
@@ -167,8 +168,9 @@ def _newton(structure, solver, positions, tensions, guess, inertia, velocity, di
         while not np.linalg.norm(residual(x + fraction * direction)[0]) < size:
             fraction /= 2
             if fraction < 1e-4:
-                raise DivergenceError(f"Newton's method is stuck at a residual of {size:.3g} N; expected "
-                                      f"{NEWTON_TOLERANCE * (weight + inertial):.3g} N: lower the inputs or the timestep")
+                raise DivergenceError(f"Newton's method is stuck at a residual of {size:.3g} N, expected "
+                                      f"{NEWTON_TOLERANCE * (weight + inertial):.3g} N; lower the inputs or the "
+                                      "timestep")
         x = x + fraction * direction
     raise DivergenceError(f"Newton's method left a residual of {size:.3g} N after {NEWTON_ITERATIONS} iterations; "
                           "lower the inputs or the timestep")
