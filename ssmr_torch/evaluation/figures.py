@@ -1,4 +1,4 @@
-"""Figures of fits, predictions and closed loops. SI in; mm, ms and % on the axes. The only file that draws."""
+"""Figures of fits, predictions and closed loops. SI in; mm, ms and % on the axes. Robots: robot_figures."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MM = 1e3
 MS = 1e3
 
 
-def _styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
+def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     @wraps(draw)
     def drawn(*arguments, **options):
         with matplotlib.rc_context(STYLE):
@@ -51,7 +51,7 @@ def colours(names: Iterable[str]) -> dict[str, str]:
     return {name: METHODS[name][0] if name in METHODS else spare[name] for name in names}
 
 
-@_styled
+@styled
 def save(figure: Figure, path: str | Path) -> Path:
     """Write the figure as .svg, .pdf or .png; the file appears only when it is complete."""
     path = Path(path)
@@ -65,14 +65,14 @@ def save(figure: Figure, path: str | Path) -> Path:
     return path
 
 
-@_styled
+@styled
 def svg(figure: Figure) -> str:
     """The figure as the text of an SVG file."""
     figure.savefig(text := io.StringIO(), format="svg", metadata={"Date": None})
     return text.getvalue()
 
 
-@_styled
+@styled
 def singular_values(values: np.ndarray, dimension: int) -> Figure:
     """σ_i / σ_1, the variance 1 − Σ_{j≤i} σ_j² / Σ σ_j² left out (%), and the gaps σ_i / σ_{i+1}, over the mode i.
 
@@ -86,7 +86,7 @@ def singular_values(values: np.ndarray, dimension: int) -> Figure:
                          "values in descending order, K >= 2, and 1 <= dimension <= K")
     left_out = 100 * np.cumsum(values[::-1] ** 2)[::-1][1:] / (values ** 2).sum()
     mode = np.arange(1, len(values) + 1)
-    figure, (spectrum, remainder, gaps) = _panels(WIDTH, 2.3, 1, 3, sharex=True)
+    figure, (spectrum, remainder, gaps) = panels(WIDTH, 2.3, 1, 3, sharex=True)
     for axes, x, y, title in ((spectrum, mode, values / values[0], r"singular value $\sigma_i/\sigma_1$ (–)"),
                               (remainder, mode[:-1], left_out, "variance left out (%)")):
         axes.semilogy(x, y, "o-", color="#999999", markersize=3.5)
@@ -104,10 +104,10 @@ def singular_values(values: np.ndarray, dimension: int) -> Figure:
     return figure
 
 
-@_styled
+@styled
 def eigenvalues(spectra: Mapping[str, np.ndarray], reference: np.ndarray | None = None) -> Figure:
     """Eigenvalues (1/s) of the reduced dynamics' linear part, per method; a reference as open circles."""
-    figure, axes = _panels(WIDTH / 2, 2.8)
+    figure, axes = panels(WIDTH / 2, 2.8)
     axes.axvline(0.0, color="#666666", linewidth=0.8)
     if reference is not None:
         axes.plot(np.real(reference), np.imag(reference), "o", color="black", mfc="none", ms=9, label="reference")
@@ -120,7 +120,7 @@ def eigenvalues(spectra: Mapping[str, np.ndarray], reference: np.ndarray | None 
     return figure
 
 
-@_styled
+@styled
 def prediction(time: np.ndarray, measured: np.ndarray, predicted: Mapping[str, tuple[np.ndarray, np.ndarray]],
                output_names: Sequence[str], target: str = "measured") -> Figure:
     """Each output (mm) over time (s): measured, and what each model predicts from one start without correction.
@@ -130,7 +130,7 @@ def prediction(time: np.ndarray, measured: np.ndarray, predicted: Mapping[str, t
     """
     measured = np.asarray(measured)
     _match_columns(measured, output_names)
-    figure, grid = _panels(WIDTH, 0.7 + 1.15 * len(output_names), len(output_names), 1, sharex=True, squeeze=False)
+    figure, grid = panels(WIDTH, 0.7 + 1.15 * len(output_names), len(output_names), 1, sharex=True, squeeze=False)
     rows = grid[:, 0]
     palette = colours(predicted)
     for column, (axes, label) in enumerate(zip(rows, output_names)):
@@ -146,14 +146,14 @@ def prediction(time: np.ndarray, measured: np.ndarray, predicted: Mapping[str, t
     return figure
 
 
-@_styled
+@styled
 def error_over_horizon(horizons: np.ndarray, errors: Mapping[str, np.ndarray]) -> Figure:
     """Mean RMSE (mm) over the prediction horizon (s), both logarithmic; a cross where rollouts begin to diverge.
 
     horizons: (K,) s; errors: name → (K,) m, infinite where a rollout diverged.
     """
     horizons = np.asarray(horizons)
-    figure, axes = _panels(WIDTH / 2 + 0.6, 3.0)
+    figure, axes = panels(WIDTH / 2 + 0.6, 3.0)
     palette = colours(errors)
     for name, values in errors.items():
         values = np.asarray(values, dtype=np.float64)
@@ -172,14 +172,14 @@ def error_over_horizon(horizons: np.ndarray, errors: Mapping[str, np.ndarray]) -
     return figure
 
 
-@_styled
+@styled
 def tracking(time: np.ndarray, reference: np.ndarray, paths: Mapping[str, np.ndarray],
              axis_names: tuple[str, str], obstacles: np.ndarray | None = None) -> Figure:
     """Paths in the task's plane (mm), and the tracking error ‖e‖ (mm) over time (s).
 
     time: (T,) s; reference: (T, 2) m; paths: name → (T, 2) m; obstacles: (O, 3) centre and radius, m.
     """
-    figure, (plane, error) = _panels(WIDTH, 3.1, 1, 2, width_ratios=(1.0, 1.25))
+    figure, (plane, error) = panels(WIDTH, 3.1, 1, 2, width_ratios=(1.0, 1.25))
     for x, y, radius in () if obstacles is None else MM * np.asarray(obstacles):
         plane.add_patch(Circle((x, y), radius, facecolor="#DDDDDD", edgecolor="#888888", linewidth=0.8))
     palette = colours(paths)
@@ -199,7 +199,7 @@ def tracking(time: np.ndarray, reference: np.ndarray, paths: Mapping[str, np.nda
     return figure
 
 
-@_styled
+@styled
 def inputs(time: np.ndarray, commands: Mapping[str, np.ndarray], bounds: np.ndarray,
            input_names: Sequence[str], unit: str = "N") -> Figure:
     """Each input over time (s), with its bounds. commands: name → (T, m); bounds: (2, m), both in `unit`."""
@@ -207,7 +207,7 @@ def inputs(time: np.ndarray, commands: Mapping[str, np.ndarray], bounds: np.ndar
     _match_columns(bounds, input_names)
     columns = min(4, len(input_names))
     rows = -(-len(input_names) // columns)
-    figure, grid = _panels(WIDTH, 0.6 + 1.5 * rows, rows, columns, sharex=True, sharey=True, squeeze=False)
+    figure, grid = panels(WIDTH, 0.6 + 1.5 * rows, rows, columns, sharex=True, sharey=True, squeeze=False)
     palette = colours(commands)
     label = "–" if unit == "1" else unit
     for index, axes in enumerate(grid.flat):
@@ -229,13 +229,13 @@ def inputs(time: np.ndarray, commands: Mapping[str, np.ndarray], bounds: np.ndar
     return figure
 
 
-@_styled
+@styled
 def solve_times(times: Mapping[str, np.ndarray], period: float) -> Figure:
     """Solve times (ms, logarithmic) per method against the control period; box: quartiles, whiskers: 1 and 99 %.
 
     times: name → (K,) s; period: s.
     """
-    figure, axes = _panels(WIDTH * 0.7, 0.9 + 0.32 * len(times))
+    figure, axes = panels(WIDTH * 0.7, 0.9 + 0.32 * len(times))
     names = list(times)[::-1]
     palette = colours(names)
     boxes = axes.boxplot([MS * np.asarray(times[name]) for name in names], orientation="horizontal",
@@ -253,14 +253,14 @@ def solve_times(times: Mapping[str, np.ndarray], period: float) -> Figure:
     return figure
 
 
-@_styled
+@styled
 def ise_bars(ise: Mapping[str, Mapping[str, float]]) -> Figure:
     """Integral squared error (mm², logarithmic) per task and method; ise: task → method → m².
 
     An infinite one is marked as failed; one that is missing leaves a gap.
     """
     methods = list(dict.fromkeys(method for row in ise.values() for method in row))
-    figure, axes = _panels(min(WIDTH, 2.0 + 0.4 * len(methods) * len(ise)), 2.7)
+    figure, axes = panels(min(WIDTH, 2.0 + 0.4 * len(methods) * len(ise)), 2.7)
     width = 0.82 / len(methods)
     palette = colours(methods)
     lowest = MM ** 2 * min((v for row in ise.values() for v in row.values() if 0 < v < np.inf), default=1.0)
@@ -278,7 +278,7 @@ def ise_bars(ise: Mapping[str, Mapping[str, float]]) -> Figure:
     return figure
 
 
-def _panels(width: float, height: float, *grid: int, **options):
+def panels(width: float, height: float, *grid: int, **options):
     """A figure of a size in inches and its axes: one, or as many as `Figure.subplots` gives."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(*grid, **options)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from ssmr_torch.evaluation.open_loop import OpenLoopScore
 from ssmr_torch.evaluation.predictors import BASELINES
 from ssmr_torch.evaluation.report import Picture, Section, Table
 from ssmr_torch.evaluation.rollouts import predict_trajectory
+from ssmr_torch.plants.rig import Rig
 
 # as many as there are colours for names without a fixed one
 PATHS_PER_FIGURE = len(figures.SPARE_COLOURS)
@@ -63,7 +65,7 @@ def training_figures(report: Mapping[str, Mapping]) -> dict:
 def collect_sections(directory: str | Path) -> list[Section]:
     """Closed-loop records, open-loop scores and training reports found below a directory, as sections.
 
-    Records of one task, plant, noise and control period share a section, each with a row of its own.
+    Records of one task, plant, rig, noise and control period share a section, each with a row of its own.
     Raises ValueError when there are none.
     """
     directory = Path(directory)
@@ -85,11 +87,11 @@ def closed_loop_section(records: Sequence[ClosedLoopRecord]) -> Section:
 
     Equal model names are numbered, and different seeds are shown. A record whose errors do not exist, as it broke
     off or is too short, has an empty row and is not drawn; the text says why.
-    Raises ValueError when the records differ in task, plant, noise or control period.
+    Raises ValueError when the records differ in task, plant, rig, noise or control period.
     """
     if len({_setting(record) for record in records}) != 1:
         raise ValueError(f"{len(records)} records of {len({_setting(r) for r in records})} settings (task, plant, "
-                         "noise, control period); expected one, give each setting a section of its own")
+                         "rig, noise, control period); expected one, give each setting a section of its own")
     origin = records[0].provenance
     runs = dict(zip(_unique(record.provenance.get("model", "model") for record in records), records))
     measured, missing = {}, []
@@ -160,7 +162,7 @@ def training_section(path: Path) -> Section:
 
 
 def _setting(record: ClosedLoopRecord) -> tuple:
-    """What runs must share to be compared: task, plant, noise, period, and the axes of their figures."""
+    """What runs must share to be compared: task, plant, rig, noise, period, and the axes of their figures."""
     origin = record.provenance
     return (*(origin[key] for key in ("task", "plant", "noise_std", "period")), record.tracked, record.output_names,
             record.input_names, record.input_unit, record.time.tobytes(), record.reference.tobytes(),
@@ -168,7 +170,12 @@ def _setting(record: ClosedLoopRecord) -> tuple:
 
 
 def _plant_settings(record: ClosedLoopRecord) -> dict:
-    return (record.provenance.get("configuration") or {}).get("plant") or {}
+    """Of the plant all, of its rig those that are not off."""
+    configured = record.provenance.get("configuration") or {}
+    off = {name: parameter.default for name, parameter in signature(Rig).parameters.items()}
+    rig = {f"rig {key}": value for key, value in (configured.get("rig") or {}).items()
+           if key in off and value != off[key]}
+    return (configured.get("plant") or {}) | rig
 
 
 def _unique(names: Iterable[str]) -> list[str]:

@@ -81,7 +81,8 @@ def test_runs_of_one_seed_are_told_apart_by_their_model_alone(tmp_path):
 
 
 @pytest.mark.parametrize("change", [{"task": "figure eight"}, {"plant": "Diamond"}, {"noise_std": 0.0},
-                                    {"period": 0.04}, {"configuration": {"plant": {"observe": "state"}}}])
+                                    {"period": 0.04}, {"configuration": {"plant": {"observe": "state"}}},
+                                    {"configuration": {"rig": {"sensor_delay": 0.02}}}])
 def test_runs_that_do_not_compare_get_sections_of_their_own(change, tmp_path):
     records = [record_of(0), record_of(1, **change), record_of(2)]
     sections = collect_sections(saved(tmp_path, *records))
@@ -89,6 +90,18 @@ def test_runs_that_do_not_compare_get_sections_of_their_own(change, tmp_path):
     assert rows == [["SSMR", "SSMR 2"], ["SSMR"]]
     with pytest.raises(ValueError, match="3 records of 2 settings"):
         closed_loop_section(records)
+
+
+def test_a_rig_is_described_by_what_is_on_and_one_that_is_off_changes_nothing():
+    off = {"_target_": "ssmr_torch.plants.rig.rig", "_partial_": True, "noise_std": 0.0, "sensor_delay": 0.0,
+           "dropped": "held", "rate_limit": None}
+    plant = {"_target_": "trunk", "observe": "tip"}
+    section = closed_loop_section([record_of(configuration={"plant": plant}),
+                                   record_of(configuration={"plant": plant, "rig": off})])
+    assert "on the plant Trunk (observe tip), measured" in section.parts[0]
+    on = off | {"sensor_delay": 0.02, "rate_limit": 10.0}
+    section = closed_loop_section([record_of(configuration={"plant": plant, "rig": on})])
+    assert "on the plant Trunk (observe tip, rig sensor_delay 0.02, rig rate_limit 10.0), measured" in section.parts[0]
 
 
 @pytest.mark.parametrize("runs", [6, 7])

@@ -1,0 +1,300 @@
+"""Stills and animations of a deforming robot: its surface, its tip's path, the reference. SI in; mm on the axes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.animation import PillowWriter
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+
+from ssmr_torch.evaluation.figures import METHODS, MM, WIDTH, colours, panels, styled
+
+AXES = ("x", "y", "z")
+SHADOW, LIT = np.array([0.25, 0.31, 0.38]), np.array([0.93, 0.91, 0.87])
+REST, SHEET = "#DDDDDD", "#DCEEF9"
+# right, up, towards the viewer: over the viewer's left shoulder, wherever the camera is
+LIGHT = np.array([-0.45, 0.60, 0.66])
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A viewer infinitely far away, so that one scale bar holds for the whole picture.
+
+    elevation: degrees above the horizontal plane, below it when negative.   azimuth: degrees about `up`, from the
+    next axis in x → y → z → x.   up: the axis that points up in the picture, "+x" to "-z".
+    Raises ValueError when an angle is not finite or there is no such axis.
+    """
+
+    elevation: float = 30.0
+    azimuth: float = -62.0
+    up: str = "+z"
+
+    def __post_init__(self):
+        if self.up not in [sign + axis for sign in "+-" for axis in AXES]:
+            raise ValueError(f"the axis that points up is {self.up!r}; expected one of +x, +y, +z, -x, -y, -z")
+        if not np.isfinite([self.elevation, self.azimuth]).all():
+            raise ValueError(f"elevation {self.elevation}° and azimuth {self.azimuth}°; expected finite angles")
+
+    @property
+    def frame(self) -> np.ndarray:
+        """(3, 3): the unit vectors right, up and towards the viewer as rows, right-handed."""
+        sign = 1.0 if self.up[0] == "+" else -1.0
+        above, ahead, aside = np.roll(np.eye(3), -AXES.index(self.up[1]), axis=0) * [[sign], [1.0], [sign]]
+        azimuth, elevation = np.deg2rad([self.azimuth, self.elevation])
+        outwards = np.cos(azimuth) * ahead + np.sin(azimuth) * aside
+        right = np.cos(azimuth) * aside - np.sin(azimuth) * ahead
+        towards = np.cos(elevation) * outwards + np.sin(elevation) * above
+        return np.stack([right, np.cross(towards, right), towards])
+
+
+STANDING = Camera()
+# from below: only there is a letter written in x and y neither mirrored nor behind the robot
+HANGING = Camera(elevation=-24.0, azimuth=-72.0, up="-z")
+
+
+@styled
+def robot_stills(shapes: np.ndarray, triangles: np.ndarray, times: np.ndarray, tip_path: np.ndarray,
+                 reference: np.ndarray | None = None, *, tip_times: np.ndarray, rest: np.ndarray | None = None,
+                 camera: Camera = STANDING, plane: Sequence[int] | None = None, name: str = "SSMR") -> Figure:
+    """The robot at K instants side by side, each with its tip's path so far and the whole reference.
+
+    shapes: (K, N, 3) m, the nodes; triangles: (F, 3) nodes of the surface; times: (K,) s, ascending.
+    tip_path: (T, 3) m at tip_times (T,) s, which contain the instants; reference: (T', 3) m; rest: (N, 3) m, drawn
+    as a pale silhouette. All positions absolute.   plane: the two axes that the reference lives in, for a second row
+    that looks straight at them.   name: who steers, for colour and legend.
+    Raises ValueError when sizes differ, a value is not finite or an instant is outside the path.
+    """
+    motion = _Motion(shapes, triangles, times, tip_path, tip_times, reference, rest, plane)
+    count, label, gap = len(motion.times), 0.45, 0.12
+    width = min((WIDTH - label) / count - gap, 1.8)
+    heights = [_height(motion.everything @ camera.frame[:2].T, width, 2.9)]
+    if plane is not None:
+        heights.append(_height(motion.drawn[:, motion.plane], width, 2.0))
+    size = label + count * (width + gap), sum(heights) + 0.9
+    figure, grid = panels(*size, len(heights), count, height_ratios=heights, squeeze=False)
+    for index, (column, time) in enumerate(zip(grid.T, motion.times)):
+        for view in _views(column, motion, camera.frame, name, np.array(heights) / width, leftmost=index == 0):
+            view.show(index)
+        column[0].set_title(f"{time:.2f} s")
+    return figure
+
+
+@styled
+def robot_animation(path: str | Path, shapes: np.ndarray, triangles: np.ndarray, times: np.ndarray,
+                    tip_path: np.ndarray, reference: np.ndarray | None = None, *, tip_times: np.ndarray,
+                    rest: np.ndarray | None = None, camera: Camera = STANDING, plane: Sequence[int] | None = None,
+                    name: str = "SSMR", rate: float = 25.0, dpi: float = 100.0) -> Path:
+    """Write the robot's motion as an animated .gif, one frame per shape; arguments are those of `robot_stills`.
+
+    rate: frames per second; instants 1/rate s apart play in real time.   The file appears only when it is complete.
+    Raises ValueError as `robot_stills` does, and for another kind of file or a rate that a GIF cannot have.
+    """
+    path = Path(path)
+    if path.suffix != ".gif":
+        raise ValueError(f"cannot write an animation as {path.name!r}; expected a name ending in .gif")
+    if not 1.0 <= rate <= 50.0:
+        raise ValueError(f"{rate} frames per second; expected 1 to 50, what a GIF can show: leave out shapes")
+    motion = _Motion(shapes, triangles, times, tip_path, tip_times, reference, rest, plane)
+    stage = motion.everything @ camera.frame[:2].T
+    height = _height(stage, 2.8, 3.6)
+    widths = [np.clip(height / _height(stage, 1.0, 2.6), 1.4, 2.8)]
+    if plane is not None:
+        widths.append(height / _height(motion.drawn[:, motion.plane], 1.0, 1.6))
+    size = sum(widths) + 0.4 * len(widths), height + 0.8
+    figure, grid = panels(*size, 1, len(widths), width_ratios=widths, squeeze=False)
+    views = _views(grid[0], motion, camera.frame, name, height / np.array(widths), leftmost=True)
+    title = grid[0, 0].set_title(f"{motion.times[-1]:.2f} s")
+    # once, as panels laid out anew for every frame tremble; twice, as the first layout measures panels out of place
+    figure.draw_without_rendering()
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    writer = PillowWriter(fps=rate)
+    writer.setup(figure, aside := path.with_name(path.stem + ".part.gif"), dpi)
+    for index, time in enumerate(motion.times):
+        for view in views:
+            view.show(index)
+        title.set_text(f"{time:.2f} s")
+        writer.grab_frame()
+    writer.finish()
+    os.replace(aside, path)
+    return path
+
+
+class _Motion:
+    """What is drawn, checked; positions in mm, times in s."""
+
+    def __init__(self, shapes, triangles, times, tip_path, tip_times, reference, rest, plane):
+        self.shapes, self.tip_path = _positions("shapes", shapes, 3), _positions("tip_path", tip_path, 2)
+        self.reference = np.empty((0, 3)) if reference is None else _positions("reference", reference, 2)
+        self.rest = None if rest is None else _positions("rest", rest, 2)
+        self.times = _ascending("times", times, len(self.shapes), "shapes")
+        self.tip_times = _ascending("tip_times", tip_times, len(self.tip_path), "rows of tip_path")
+        self.triangles, nodes = np.asarray(triangles), self.shapes.shape[1]
+        self.plane = None if plane is None else tuple(plane)
+        if self.triangles.dtype.kind not in "iu" or self.triangles.shape[1:] != (3,) or not len(self.triangles):
+            raise ValueError(f"triangles are {self.triangles.dtype} of shape {self.triangles.shape}; "
+                             "expected (F, 3) whole numbers, the nodes of each")
+        if self.triangles.min() < 0 or self.triangles.max() >= nodes:
+            raise ValueError(f"triangles join the nodes {self.triangles.min()} to {self.triangles.max()}, "
+                             f"the shapes have 0 to {nodes - 1}; give both from one mesh")
+        if self.rest is not None and len(self.rest) != nodes:
+            raise ValueError(f"rest has {len(self.rest)} nodes, the shapes {nodes}; give both from one mesh")
+        if self.times[0] < self.tip_times[0] or self.times[-1] > self.tip_times[-1]:
+            raise ValueError(f"instants from {self.times[0]:g} to {self.times[-1]:g} s, tip_path from "
+                             f"{self.tip_times[0]:g} to {self.tip_times[-1]:g} s; give the path of the same run")
+        if plane is not None and (len(self.plane) != 2 or len({*self.plane} & {0, 1, 2}) != 2):
+            raise ValueError(f"plane is {plane}; expected two of the axes 0, 1, 2, as (0, 1) for x and y")
+
+    @property
+    def drawn(self) -> np.ndarray:
+        """(T + T', 3) mm: the tip's path and the reference."""
+        return np.concatenate([self.tip_path, self.reference])
+
+    @property
+    def everything(self) -> np.ndarray:
+        """(·, 3) mm: `drawn`, and the surface at all instants and at rest."""
+        shapes = self.shapes if self.rest is None else np.concatenate([self.shapes, self.rest[None]])
+        return np.concatenate([shapes[:, np.unique(self.triangles)].reshape(-1, 3), self.drawn])
+
+    def path_until(self, time: float) -> np.ndarray:
+        """(·, 3) mm: the tip's path, its last point interpolated at that time."""
+        tip = [np.interp(time, self.tip_times, coordinate) for coordinate in self.tip_path.T]
+        return np.concatenate([self.tip_path[self.tip_times < time], [tip]])
+
+
+class _View:
+    """One panel's artists: the path so far and its tip under the reference, over the surface where that is drawn."""
+
+    def __init__(self, axes: Axes, motion: _Motion, frame: np.ndarray, name: str, surface: bool):
+        self.motion, self.frame = motion, frame
+        self.surface = PolyCollection([], linewidths=0.25, zorder=2, rasterized=True) if surface else None
+        if surface:
+            axes.add_collection(self.surface, autolim=False)
+        if surface and motion.rest is not None:
+            silhouette = (motion.rest @ frame[:2].T)[motion.triangles]
+            pale = PolyCollection(silhouette, color=REST, linewidths=0.25, zorder=1.5, rasterized=True)
+            axes.add_collection(pale, autolim=False)
+        colour, (black, dashes) = colours([name])[name], METHODS["reference"]
+        self.path, = axes.plot([], [], color=colour, linewidth=1.6, zorder=3, label=name)
+        if len(motion.reference):
+            axes.plot(*frame[:2] @ motion.reference.T, dashes, color=black, linewidth=0.8, zorder=4, label="reference")
+        self.tip, = axes.plot([], [], "o", color=colour, mec="white", markersize=4.5, mew=0.7, zorder=5)
+
+    def show(self, index: int) -> None:
+        path = self.frame[:2] @ self.motion.path_until(self.motion.times[index]).T
+        self.path.set_data(*path)
+        self.tip.set_data(*path[:, -1:])
+        if self.surface is not None:
+            faces = (self.motion.shapes[index] @ self.frame.T)[self.motion.triangles]
+            # painter's order: what is near covers what is far
+            faces = faces[np.argsort(faces[..., 2].mean(axis=1), kind="stable")]
+            self.surface.set(verts=faces[..., :2], color=_shade(faces))
+
+
+def _views(panel_axes: Sequence[Axes], motion: _Motion, frame: np.ndarray, name: str, ratios: np.ndarray,
+           leftmost: bool) -> list[_View]:
+    """The robot in the first of the axes and the plane in the second, if any; ratios: height to width of each."""
+    stage, *flat = panel_axes
+    _limit(stage, motion.everything @ frame[:2].T, ratios[0])
+    stage.set_axis_off()
+    if flat:
+        _draw_sheet(stage, motion, frame)
+    views = [_View(stage, motion, frame, name, surface=True)]
+    if leftmost:
+        _draw_scale_bar(stage)
+        _draw_compass(stage, frame)
+        stage.figure.legend(*stage.get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    for axes in flat:
+        _limit(axes, motion.drawn[:, motion.plane], ratios[1])
+        views.append(_View(axes, motion, np.eye(3)[list(motion.plane)], name, surface=False))
+        across, upwards = (AXES[axis] for axis in motion.plane)
+        axes.set(xlabel=f"{across} (mm)", ylabel=f"{upwards} (mm)" if leftmost else "")
+        axes.tick_params(labelleft=leftmost)
+        axes.locator_params(nbins=4, steps=[1, 2, 5, 10])
+    return views
+
+
+def _shade(faces: np.ndarray) -> np.ndarray:
+    """(F, 3, 3) right, up, towards the viewer → (F, 3) colours: matt, darker away from the light and the viewer."""
+    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    # the order of a triangle's nodes need not tell inside from outside, but what is seen is outside
+    normals *= np.where(normals[:, 2:] < 0.0, -1.0, 1.0)
+    brightness = (0.5 + 0.5 * normals @ LIGHT / np.linalg.norm(LIGHT)) * (0.65 + 0.35 * normals[:, 2])
+    return SHADOW + brightness[:, None] * (LIT - SHADOW)
+
+
+def _draw_sheet(axes: Axes, motion: _Motion, frame: np.ndarray) -> None:
+    """The plane as a sheet of paper that the tip writes on, behind the robot or before it as the viewer sees it."""
+    drawn = motion.reference if len(motion.reference) else motion.tip_path
+    normal = 3 - sum(motion.plane)
+    margin = 0.2 * np.ptp(drawn[:, motion.plane], axis=0).max()
+    low, high = drawn.min(axis=0) - margin, drawn.max(axis=0) + margin
+    corners = np.full((4, 3), drawn[:, normal].mean())
+    for axis, ends in zip(motion.plane, ([0, 1, 1, 0], [0, 0, 1, 1])):
+        corners[:, axis] = np.array([low, high])[ends, axis]
+    behind = (motion.shapes[..., normal].mean() - corners[0, normal]) * frame[2, normal] > 0.0
+    axes.add_patch(Polygon(corners @ frame[:2].T, facecolor=SHEET, alpha=None if behind else 0.7,
+                           zorder=1 if behind else 2.5))
+
+
+def _draw_scale_bar(axes: Axes) -> None:
+    left, right = axes.get_xlim()
+    lengths = [step * 10.0 ** power for power in range(-3, 5) for step in (1, 2, 5)]
+    length = max([size for size in lengths if size <= 0.4 * (right - left)], default=lengths[0])
+    below = axes.get_xaxis_transform()
+    axes.plot([left, left + length], [-0.03, -0.03], color="black", linewidth=1.6, clip_on=False, transform=below)
+    axes.annotate(f"{length:g} mm", (left + length, -0.03), (3, 0), below, "offset points", va="center", fontsize=7)
+
+
+def _draw_compass(axes: Axes, frame: np.ndarray) -> None:
+    """The three axes as the viewer sees them; one that points at the viewer is left out."""
+    corner = {"xy": (0.01, 0.95), "xycoords": "axes fraction", "textcoords": "offset points"}
+    arrowhead = {"arrowstyle": "<-", "linewidth": 0.7, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 5}
+    for letter, arrow in zip(AXES, 13.0 * frame[:2].T):
+        if (length := np.linalg.norm(arrow)) > 4.0:
+            axes.annotate("", xytext=arrow, arrowprops=arrowhead, **corner)
+            axes.annotate(letter, xytext=(1.0 + 5.0 / length) * arrow, ha="center", va="center", fontsize=7, **corner)
+
+
+def _height(points: np.ndarray, width: float, most: float) -> float:
+    """inches: of a panel of that width that shows the points (·, 2) with equal scales."""
+    span = np.ptp(points, axis=0)
+    return float(np.clip(width * span[1] / max(span[0], 1e-9), 0.6 * width, most))
+
+
+def _limit(axes: Axes, points: np.ndarray, ratio: float) -> None:
+    """Limits of equal scale around the points (·, 2), whose height has that ratio to their width."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    span = 1.06 * max(*(high - low) / (1.0, ratio), 1e-3) * np.array([1.0, ratio])
+    xlim, ylim = np.stack([low + high - span, low + high + span], axis=1) / 2
+    axes.set(xlim=xlim, ylim=ylim, aspect="equal")
+
+
+def _positions(what: str, given, dimensions: int) -> np.ndarray:
+    """m → mm. Raises ValueError for another shape or a value that is not finite."""
+    positions = np.asarray(given, dtype=np.float64)
+    if positions.ndim != dimensions or positions.shape[-1] != 3 or positions.size == 0:
+        raise ValueError(f"{what} has shape {positions.shape}; expected {('(·, 3)', '(K, N, 3)')[dimensions - 2]} m")
+    if not np.isfinite(positions).all():
+        raise ValueError(f"{np.sum(~np.isfinite(positions))} of {positions.size} values of {what} are not finite; "
+                         "cut the run where it diverged")
+    return MM * positions
+
+
+def _ascending(what: str, given, count: int, of: str) -> np.ndarray:
+    times = np.asarray(given, dtype=np.float64)
+    if times.shape != (count,):
+        raise ValueError(f"{what} has shape {times.shape} for {count} {of}; expected ({count},): one each")
+    if not (np.isfinite(times).all() and (np.diff(times) > 0.0).all()):
+        raise ValueError(f"{what} do not ascend from {times[0]:g} to {times[-1]:g}; "
+                         "expected finite seconds, each after the one before")
+    return times
