@@ -12,7 +12,8 @@ from ssmr_torch.provenance import provenance
 
 @entry_point("control")
 def main(config, directory):
-    loaded, plant, task = artifact.load(config.artifact), instantiate(config.plant), instantiate(config.task)
+    loaded, task = artifact.load(config.artifact), instantiate(config.task)
+    plant = instantiate(config.rig)(instantiate(config.plant))
     artifact.check_source(loaded, plant)
     controller = instantiate(config.controller)(loaded.model, task, plant.input_bounds, timestep=plant.timestep,
                                                 output_names=plant.output_names)

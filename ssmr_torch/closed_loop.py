@@ -22,11 +22,11 @@ FORMAT = "ssmr_torch closed loop 1"
 class ClosedLoopRecord:
     """One run in closed loop, T samples.
 
-    time (T,) s; reference (T, q) m in the columns `tracked` of the outputs; observation (T, p) m, the plant's
-    own; measurement (T, p) m, the same with noise, as the controller saw it; input (T, m), held from time[k]
-    to time[k+1]. fallback (T,) whether the controller fell back; statuses (T,) name of the Status, empty
-    where nothing was decided; solve_time (T,) s spent in the controller, and iterations (T,) programs solved;
-    NaN and 0 where an input was held.
+    time (T,) s; reference (T, q) m in the columns `tracked` of the outputs; observation (T, p) m, where the plant
+    truly was; measurement (T, p) m, what the controller saw of it, NaN where a sample was missing; input (T, m),
+    commanded from time[k] to time[k+1]. fallback (T,) whether the controller fell back; statuses (T,) name of the
+    Status, empty where nothing was decided; solve_time (T,) s spent in the controller, and iterations (T,) programs
+    solved; NaN and 0 where an input was held.
     """
 
     time: np.ndarray
@@ -93,7 +93,8 @@ def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, 
              provenance: dict | None = None) -> ClosedLoopRecord:
     """Let the controller steer the plant through the task, from the plant's rest, one call per plant sample.
 
-    seed: fixes the plant's randomness and the measurement noise.   noise_std: of every observed value, m.
+    seed: fixes the plant's randomness and the measurement noise.   noise_std: of every observed value, m, on top of
+    what the plant's own sensors add.
     Raises ValueError when the control period is not a multiple of the plant's timestep.
     """
     ratio = controller.period / plant.timestep
@@ -105,27 +106,28 @@ def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, 
     time = plant.timestep * np.arange(int(np.ceil(task.duration / plant.timestep - 1e-9)) + 1)
     noise = noise_std * np.random.default_rng(seed).standard_normal((len(time), len(plant.output_names)))
     controller.reset()
-    observation = np.array(plant.reset(seed), dtype=np.float64)
-    observations, commands, durations = [], [], []
+    sample = np.array(plant.reset(seed), dtype=np.float64)
+    truth, samples, commands, durations = [], [], [], []
     for k in tqdm(range(len(time)), desc=task.name, disable=not progress):
         start = perf_counter()
-        command = controller(float(time[k]), observation + noise[k])
+        command = controller(float(time[k]), sample + noise[k])
         durations.append(perf_counter() - start)
-        observations.append(observation)
+        truth.append(np.array(plant.displacement, dtype=np.float64))
+        samples.append(sample)
         commands.append(command)
         if k + 1 < len(time):
-            observation = np.array(plant.step(command.input), dtype=np.float64)
-    settings = {"task": task.name, "plant": type(plant).__name__, "controller": type(controller).__name__,
+            sample = np.array(plant.step(command.input), dtype=np.float64)
+    settings = {"task": task.name, "plant": plant.name, "controller": type(controller).__name__,
                 "period": controller.period, "timestep": plant.timestep, "seed": seed, "noise_std": noise_std,
                 "version": __version__}
-    return _record(plant, task, time, np.stack(observations), noise, commands, durations,
+    return _record(plant, task, time, np.stack(truth), np.stack(samples) + noise, commands, durations,
                    settings | (provenance or {}))
 
 
-def _record(plant, task, time, observation, noise, commands, durations, provenance) -> ClosedLoopRecord:
+def _record(plant, task, time, observation, measurement, commands, durations, provenance) -> ClosedLoopRecord:
     held = np.array([command.held for command in commands])
     return ClosedLoopRecord(
-        time=time, reference=task.reference(time), observation=observation, measurement=observation + noise,
+        time=time, reference=task.reference(time), observation=observation, measurement=measurement,
         input=np.stack([command.input for command in commands]),
         fallback=np.array([command.fallback is not None for command in commands]),
         solve_time=np.where(held, np.nan, durations),

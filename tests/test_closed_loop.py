@@ -8,6 +8,7 @@ from ssmr_torch.closed_loop import ClosedLoopRecord, simulate
 from ssmr_torch.control.base import Command
 from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.models.polynomial_tables import PolynomialTables
+from ssmr_torch.plants.rig import Rig
 from ssmr_torch.status import Status
 from ssmr_torch.tasks.references import Task
 
@@ -24,7 +25,7 @@ def integrator(gain=1.0):
 class Plant:
     """y⁺ = y + gain · timestep · u."""
 
-    timestep, input_unit = 0.01, "N"
+    name, timestep, input_unit = "integrator", 0.01, "N"
     input_bounds = np.array([[-1.0, -1.0], [1.0, 1.0]])
     output_names, input_names, rest = ("x", "y"), ("left", "right"), np.zeros(2)
 
@@ -36,6 +37,10 @@ class Plant:
     def reset(self, seed=None, state=None):
         self.state = np.zeros(2) if state is None else np.array(state)
         self.received.clear()
+        return self.state
+
+    @property
+    def displacement(self):
         return self.state
 
     def step(self, input):
@@ -95,6 +100,43 @@ def test_noise_reaches_the_controller_and_not_the_recorded_position_and_is_fixed
     np.testing.assert_allclose(moved, 0.01 * records[0].input[:-1], rtol=0, atol=1e-15)
 
 
+def test_a_record_keeps_where_the_robot_was_apart_from_what_a_late_sensor_said():
+    plant, controller = Rig(Plant(), sensor_delay=0.03), Proportional(TASK)
+    record = simulate(plant, controller, TASK)
+    np.testing.assert_array_equal(record.measurement[3:], record.observation[:-3])
+    np.testing.assert_array_equal(record.measurement[:3], 0.0)
+    np.testing.assert_allclose(record.input, 2.0 * (record.reference - record.measurement), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(np.diff(record.observation, axis=0), 0.01 * record.input[:-1], rtol=0, atol=1e-15)
+    assert record.provenance["plant"] == "integrator on a rig"
+
+
+def test_the_noise_of_a_rig_and_of_the_simulation_add_up_without_being_alike():
+    task = Task("long", 20.0, ("x", "y"), TASK.reference)
+    record = simulate(Rig(Plant(), noise_std=1e-3), Proportional(task), task, noise_std=1e-3)
+    noise = record.measurement - record.observation
+    assert noise.std() == pytest.approx(np.sqrt(2) * 1e-3, abs=4 * np.sqrt(2) * 1e-3 / np.sqrt(2 * noise.size))
+
+
+def test_commands_are_recorded_as_given_whatever_the_actuators_make_of_them():
+    plant = Rig(Plant(), actuator_lag=0.05, rate_limit=0.3)
+    record = simulate(plant, Proportional(TASK), TASK)
+    np.testing.assert_allclose(record.input, -2.0 * record.error, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(np.diff(record.observation, axis=0)[0], 0.01 * plant.plant.received[0])
+    assert np.abs(plant.plant.received[0]).max() <= 0.3 * 0.01 * (1 - np.exp(-0.2)) + 1e-15
+
+
+def test_a_missing_sample_is_recorded_and_makes_the_controller_fall_back():
+    plant = Rig(Plant(), drop_probability=0.05, dropped="missing")
+    controller = ModelPredictiveController(integrator(), TASK, Plant.input_bounds, output_names=Plant.output_names)
+    record = simulate(plant, controller, TASK)
+    missing = np.isnan(record.measurement).any(axis=1)
+    blind = missing | np.append(False, missing[:-1])  # a window holds two samples
+    planned = ~np.isnan(record.solve_time)
+    assert missing.any() and np.isfinite(record.observation).all()
+    np.testing.assert_array_equal(record.fallback[planned], blind[planned])
+    assert {record.statuses[k] for k in np.flatnonzero(record.fallback)} == {"NOT_FINITE"}
+
+
 def test_model_predictive_control_reaches_the_set_point_of_a_mismatched_plant():
     task = Task("set point", 1.0, ("y",), lambda time: np.full((len(time), 1), 0.02))
     controller = ModelPredictiveController(integrator(), task, Plant.input_bounds,
@@ -118,6 +160,7 @@ def test_a_record_survives_its_file(tmp_path):
         else:
             assert getattr(loaded, name) == value
     assert loaded.provenance["commit"] == "abc" and loaded.provenance["task"] == "set point"
+    assert loaded.provenance["plant"] == "integrator"
     assert [path.name for path in (tmp_path / "deep").iterdir()] == ["run.h5"]
 
 

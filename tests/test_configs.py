@@ -16,6 +16,7 @@ from ssmr_torch.fitting.fit import ModelFit
 from ssmr_torch.models.polynomial_tables import PolynomialTables
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.plants.base import Plant
+from ssmr_torch.plants.rig import Rig
 from ssmr_torch.tasks.references import Task
 from ssmr_torch.trajectory import TrajectoryDataset
 
@@ -48,6 +49,22 @@ def test_every_entry_point_has_a_configuration_that_composes(name):
 @pytest.mark.parametrize("plant", group("plant"))
 def test_every_plant_is_one(plant):
     assert isinstance(instantiate(compose("collect", [f"plant={plant}"]).plant), Plant)
+
+
+@pytest.mark.parametrize("choice", group("rig"))
+@pytest.mark.parametrize("entry", ["collect", "control"])
+def test_every_rig_takes_every_entry_points_plant_and_names_all_settings(entry, choice):
+    config = compose(entry, [f"rig={choice}"])
+    plant = instantiate(config.plant)
+    built = instantiate(config.rig)(plant)
+    assert isinstance(built, Plant) and (built is plant) == (choice == "ideal")
+    settings = {key for key in config.rig if not key.startswith("_")}
+    assert settings == set(inspect.signature(Rig).parameters) - {"plant"}
+
+
+def test_a_rig_takes_one_limit_per_input():
+    config = compose("control", ["rig=hardware", "rig.rate_limit=[1,2,3,4]", "rig.saturation=1.0"])
+    assert instantiate(config.rig)(instantiate(config.plant)).parameters["rate_limit"] == [1.0, 2.0, 3.0, 4.0]
 
 
 @pytest.mark.parametrize("excitation", group("excitation"))

@@ -61,7 +61,7 @@ def perturbed(model: PolynomialTables, relative: float, seed: int = 1) -> Polyno
 class TablesPlant:
     """A plant that obeys polynomial tables, finely integrated; its state is that of the tables."""
 
-    input_unit = "N"
+    name, input_unit = "tables", "N"
 
     def __init__(self, model: PolynomialTables, input_bounds: np.ndarray = BOUNDS):
         self.model = replace(model, substeps=4)
@@ -71,15 +71,19 @@ class TablesPlant:
         self.rest = np.zeros(model.output_dim)
         self.reset()
 
+    @property
+    def displacement(self) -> np.ndarray:
+        return self.model.decode(self.state)
+
     def reset(self, seed: int | None = None, state: np.ndarray | None = None) -> np.ndarray:
         self.state = np.zeros(self.model.state_dim) if state is None else np.array(state, dtype=np.float64)
-        return self.model.decode(self.state)
+        return self.displacement
 
     def step(self, input: np.ndarray) -> np.ndarray:
         if np.shape(input) != (self.model.input_dim,) or not np.isfinite(input).all():
             raise ValueError(f"input is {input}; expected {self.model.input_dim} finite numbers")
         self.state = self.model.step(self.state, np.clip(input, *self.input_bounds))
-        return self.model.decode(self.state)
+        return self.displacement
 
 
 def measure(horizon: int, laps: float = 6.0) -> dict:

@@ -12,9 +12,11 @@ class Plant(Protocol):
     """A robot that is sampled every `timestep` s and holds its input in between.
 
     An observation is (p,), the displacement of the observed points from rest, m; an input is (m,), `input_unit`.
-    input_bounds: (2, m), lowest and highest input. rest: (p,) absolute position of the origin of the observation.
+    name: of the robot, as reports call it. input_bounds: (2, m), lowest and highest input. rest: (p,) absolute
+    position of the origin of the observation.
     """
 
+    name: str
     timestep: float
     input_bounds: np.ndarray
     input_unit: str
@@ -35,3 +37,30 @@ class Plant(Protocol):
     @property
     def state(self) -> np.ndarray:
         """The full state; `reset(state=...)` returns to it exactly."""
+
+    @property
+    def displacement(self) -> np.ndarray:
+        """(p,), where the observed points truly are now, m; the observation of an ideal plant."""
+
+
+def finite_vector(value: np.ndarray, size: int, name: str) -> np.ndarray:
+    """A copy of an argument as (size,) float64. Raises ValueError for another shape or non-finite values."""
+    vector = np.array(value, dtype=np.float64)
+    if vector.shape != (size,):
+        raise ValueError(f"{name} has shape {vector.shape}; expected ({size},)")
+    if not np.isfinite(vector).all():
+        raise ValueError(f"{name} is {vector.tolist()}; expected {size} finite numbers")
+    return vector
+
+
+def input_range(bounds, count: int, unit: str) -> np.ndarray:
+    """Bounds (2,) or (2, m) as (2, m). Raises ValueError unless finite and the lowest below the highest."""
+    array = np.array(bounds, dtype=np.float64)
+    if array.shape not in ((2,), (2, count)):
+        raise ValueError(f"input_bounds has shape {array.shape}; expected (2,) or (2, {count}), "
+                         f"lowest and highest force in {unit}")
+    array = np.array(np.broadcast_to(array.reshape(2, -1), (2, count)))
+    if not (np.isfinite(array).all() and (array[0] < array[1]).all()):
+        raise ValueError(f"input_bounds are {array.tolist()} {unit}; expected finite numbers, "
+                         "the lowest below the highest")
+    return array

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
+from ssmr_torch.plants.base import finite_vector
+
 SLOW_DIM, FAST_DIM, CABLES = 6, 4, 4
 
 STIFFNESS = np.array([90.0, 110.0, 170.0])      # 1/s², of the bending shapes q1, q2 and the elongation q3
@@ -111,6 +113,7 @@ class SlowManifold:
     Raises ValueError for bounds out of order, non-positive times or rates, and unknown observations.
     """
 
+    name = "slow manifold"
     input_unit = "N"
     input_names = ("cable_+x", "cable_-x", "cable_+y", "cable_-y")
 
@@ -143,21 +146,25 @@ class SlowManifold:
     def state(self) -> np.ndarray:
         return self._state.copy()
 
+    @property
+    def displacement(self) -> np.ndarray:
+        return self.output_matrix @ self._state
+
     def reset(self, seed: int | None = None, state: np.ndarray | None = None) -> np.ndarray:
         """Go to `state` (default: rest); nothing here is random, so `seed` has no effect."""
         size = SLOW_DIM + FAST_DIM
-        self._state = np.zeros(size) if state is None else _finite_vector(state, size, "state")
-        return self.output_matrix @ self._state
+        self._state = np.zeros(size) if state is None else finite_vector(state, size, "state")
+        return self.displacement
 
     def step(self, input: np.ndarray) -> np.ndarray:
         """Hold the forces (4,) for one timestep, clipped to the bounds; a misfit raises ValueError."""
-        u = np.clip(_finite_vector(input, CABLES, "input"), *self.input_bounds)
+        u = np.clip(finite_vector(input, CABLES, "input"), *self.input_bounds)
         xi, eta = self._state[:SLOW_DIM], self._state[SLOW_DIM:]
         offset = self.fast_offset @ u
         deviation = offset + self._relaxation * (eta - self.manifold(xi) - offset)
         xi = _slow_flow(xi[None], u[None], self.timestep, self.substeps)[0]
         self._state = np.concatenate([xi, self.manifold(xi) + deviation])
-        return self.output_matrix @ self._state
+        return self.displacement
 
     def rate(self, state: np.ndarray, u: np.ndarray) -> np.ndarray:
         """The full vector field, (..., 10), (..., 4) → (..., 10): what `step` integrates."""
@@ -276,15 +283,6 @@ def _bounds(bounds: Sequence) -> np.ndarray:
         raise ValueError(f"input_bounds are {array.tolist()} N; expected finite numbers, "
                          "the lowest below the highest")
     return array
-
-
-def _finite_vector(value: np.ndarray, size: int, name: str) -> np.ndarray:
-    vector = np.array(value, dtype=np.float64)
-    if vector.shape != (size,):
-        raise ValueError(f"{name} has shape {vector.shape}; expected ({size},)")
-    if not np.isfinite(vector).all():
-        raise ValueError(f"{name} is {vector.tolist()}; expected {size} finite numbers")
-    return vector
 
 
 def _output_matrix(observe: str) -> np.ndarray:

@@ -4,16 +4,27 @@ import numpy as np
 import pytest
 
 from ssmr_torch.plants.base import Plant
+from ssmr_torch.plants.rig import Rig
 from ssmr_torch.plants.slow_manifold import SlowManifold
 
-PLANTS = {
+IDEAL = {
     "slow manifold, markers": SlowManifold,
     "slow manifold, state": lambda: SlowManifold(observe="state", input_bounds=(0.2, 1.0)),
+}
+PLANTS = IDEAL | {
+    "slow manifold on a rig": lambda: Rig(
+        SlowManifold(input_bounds=(0.1, 1.5)), noise_std=1e-4, sensor_delay=0.02, drop_probability=0.2,
+        actuator_lag=0.03, rate_limit=20.0, saturation=1.2, cable_friction=0.1),
 }
 
 
 @pytest.fixture(params=PLANTS.values(), ids=PLANTS.keys())
 def plant(request):
+    return request.param()
+
+
+@pytest.fixture(params=IDEAL.values(), ids=IDEAL.keys())
+def ideal(request):
     return request.param()
 
 
@@ -32,10 +43,22 @@ def test_it_offers_the_plant_interface(plant):
     assert plant.input_bounds.shape == (2, len(plant.input_names))
     assert (plant.input_bounds[0] < plant.input_bounds[1]).all()
     assert plant.rest.shape == (len(plant.output_names),)
+    assert isinstance(plant.name, str) and plant.name
 
 
-def test_the_observation_is_zero_at_rest(plant):
-    np.testing.assert_array_equal(plant.reset(), np.zeros(len(plant.output_names)))
+def test_the_displacement_is_zero_at_rest(plant):
+    run(plant, random_inputs(plant, 3))
+    plant.reset()
+    np.testing.assert_array_equal(plant.displacement, np.zeros(len(plant.output_names)))
+
+
+def test_an_ideal_plant_observes_its_displacement(ideal):
+    np.testing.assert_array_equal(ideal.reset(), ideal.displacement)
+    for u in random_inputs(ideal, 10):
+        np.testing.assert_array_equal(ideal.step(u), ideal.displacement)
+    saved = ideal.state
+    ideal.reset()
+    np.testing.assert_array_equal(ideal.reset(state=saved), ideal.displacement)
 
 
 def test_observations_are_finite_vectors_of_at_most_robot_size(plant):
@@ -106,8 +129,9 @@ def test_the_arrays_of_the_caller_are_neither_changed_nor_kept(plant):
     observation = plant.step(u)
     np.testing.assert_array_equal(state, kept_state)
     np.testing.assert_array_equal(u, kept_input)
-    after = plant.state
-    for array in (state, u, observation, plant.state):
+    after, where = plant.state, plant.displacement
+    for array in (state, u, observation, plant.state, plant.displacement):
         array[...] = 7.0
     np.testing.assert_array_equal(plant.state, after)
+    np.testing.assert_array_equal(plant.displacement, where)
     np.testing.assert_array_equal(plant.input_bounds, bounds)
