@@ -4,14 +4,19 @@ from entry import entry_point
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
+from ssmr_torch.data.recorded import COMPLETE, discard_recorded
 from ssmr_torch.provenance import provenance
 
 
 @entry_point("collect")
 def main(config, directory):
-    dataset = instantiate(config.excitation)(instantiate(config.plant))
-    dataset.provenance.update(provenance(OmegaConf.to_container(config, resolve=True)))
-    path = dataset.save(directory / "trajectories.h5")
+    plant = instantiate(config.rig)(instantiate(config.plant))
+    dataset = instantiate(config.excitation)(plant, directory=directory, workers=config.workers)
+    path = directory / COMPLETE
+    if not path.exists():
+        dataset.provenance.update(provenance(OmegaConf.to_container(config, resolve=True)))
+        dataset.save(path)
+    discard_recorded(directory)
     samples = sum(trajectory.length for trajectory in dataset)
     print(f"{len(dataset)} trajectories, {samples} samples: {path}")
 

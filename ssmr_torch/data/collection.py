@@ -2,94 +2,36 @@
 
 from __future__ import annotations
 
-import zlib
-from collections import Counter
+import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, is_dataclass
+from pathlib import Path
 
-import numpy as np
 from tqdm import tqdm
 
-from ssmr_torch.data.excitation import Excitation, RandomOnOffRamp, Release
+from ssmr_torch import __version__
+from ssmr_torch.data.excitation import RandomOnOffRamp, Release
+from ssmr_torch.data.parallel import available_cores, record, record_all
+from ssmr_torch.data.plans import (
+    ControlledRun,
+    RecordingPlan,
+    decay_plans,
+    described_plan,
+    described_plant,
+    refuse_repeated_names,
+)
+from ssmr_torch.data.recorded import Recorded, discard_recorded
 from ssmr_torch.plants.base import Plant
-from ssmr_torch.trajectory import KINDS, SPLITS, Trajectory, TrajectoryDataset
+from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
+
+__all__ = ["ControlledRun", "RecordingPlan", "collect", "discard_recorded", "record"]
 
 DEFAULT_RELEASE = RandomOnOffRamp()
-
-
-@dataclass(frozen=True)
-class ControlledRun:
-    """`repeats` runs of `duration` s from rest under one excitation, each with its own random numbers.
-
-    kind: "controlled", or "static" for set points that are held until the robot rests.
-    """
-
-    name: str
-    excitation: Excitation
-    duration: float
-    split: str = "train"
-    repeats: int = 1
-    kind: str = "controlled"
-
-    def __post_init__(self):
-        if self.repeats < 1:
-            raise ValueError(f"{self.name}: {self.repeats} repeats; expected 1 or more, or leave the run out")
-
-    def plans(self, noise_std: float = 0.0) -> list[RecordingPlan]:
-        return [RecordingPlan(f"{self.name}-{repeat}", self.kind, self.split, self.excitation, self.duration,
-                              noise_std=noise_std) for repeat in range(self.repeats)]
-
-
-@dataclass(frozen=True)
-class RecordingPlan:
-    """One trajectory, before it is recorded: `duration` s from `start` s after the plant left its rest.
-
-    noise_std: standard deviation of the white measurement noise on every observation, m.
-    """
-
-    name: str
-    kind: str
-    split: str
-    excitation: Excitation
-    duration: float
-    start: float = 0.0
-    noise_std: float = 0.0
-
-    def __post_init__(self):
-        if not (0 < self.duration < np.inf and 0 <= self.start < np.inf):
-            raise ValueError(f"{self.name}: duration {self.duration} s and start {self.start} s; "
-                             "expected a positive duration and a start of 0 or more")
-        if not 0 <= self.noise_std < np.inf:
-            raise ValueError(f"{self.name}: noise_std is {self.noise_std} m; expected 0 or more")
-        if self.kind not in KINDS or self.split not in SPLITS:
-            raise ValueError(f"{self.name}: kind {self.kind!r} and split {self.split!r}; "
-                             f"expected one of {KINDS} and one of {SPLITS}")
-
-
-def record(plant: Plant, plan: RecordingPlan, seed: int) -> Trajectory:
-    """Run the plant from rest as planned; the result depends on plant, plan and seed, not on what ran before.
-
-    Raises ValueError when a decay's excitation has not let go at its start.
-    """
-    drawing, plant_seed, disturbing = np.random.SeedSequence([seed, zlib.crc32(plan.name.encode())]).spawn(3)
-    start, length = round(plan.start / plant.timestep), round(plan.duration / plant.timestep)
-    rng = np.random.default_rng(drawing)
-    inputs = plan.excitation(rng, start + length, plant.timestep, plant.input_bounds)
-    if plan.kind == "decay" and (inputs[start:] != plant.input_bounds[0]).any():
-        raise ValueError(f"{plan.name}: the inputs reach {inputs[start:].max():g} {plant.input_unit} after "
-                         f"the decay starts at {plan.start} s; expected the lowest input from there on")
-    observation = np.empty((start + length, len(plant.output_names)))
-    observation[0] = plant.reset(seed=int(plant_seed.generate_state(1)[0]))
-    for k in range(start + length - 1):
-        observation[k + 1] = plant.step(inputs[k])
-    noise = np.random.default_rng(disturbing).normal(0.0, plan.noise_std, (length, observation.shape[1]))
-    return Trajectory(plant.timestep * np.arange(length), observation[start:] + noise, inputs[start:],
-                      plan.kind, plan.split, plan.name)
 
 
 def collect(plant: Plant, *, decays: int | Sequence[Release] = 40, validation_decays: int = 4,
             test_decays: int = 4, decay_duration: float = 5.0, release: Release = DEFAULT_RELEASE,
             controlled: Sequence[ControlledRun] = (), noise_std: float = 0.0, seed: int = 0,
+            workers: int | None = 1, directory: str | Path | None = None,
             progress: bool = True) -> TrajectoryDataset:
     """Record decays and controlled runs, each from rest.
 
@@ -97,58 +39,82 @@ def collect(plant: Plant, *, decays: int | Sequence[Release] = 40, validation_de
     many for training, all excited by `release`, or one excitation each; validation and test use `release`.
     noise_std: white measurement noise, m. The same seed gives the same data; a trajectory's random numbers
     follow from the seed and its name, not from the other trajectories.
-    Raises ValueError, before anything is recorded, when a plan is impossible or two runs share a name.
+    workers: processes that record, one thread each; None for one per available core, 1 for this process. The data
+    are the same to the last bit where the plant's arithmetic does not depend on the number of threads.
+    directory: keeps each trajectory as soon as it is finished, for the next call with equal settings to take. Call
+    `discard_recorded` once the dataset is saved there as trajectories.h5; then that file is returned as it is.
+    Raises ValueError, before anything is recorded, when a plan is impossible, two runs share a name, or the
+    directory holds trajectories of other settings; later, when the plant refuses to go on. ChildProcessError when a
+    process that records dies. What was finished by then is kept in the directory.
     """
-    training = [release] * _count("decays", decays) if isinstance(decays, int) else list(decays)
-    by_split = {"train": training,
-                "validation": [release] * _count("validation_decays", validation_decays),
-                "test": [release] * _count("test_decays", test_decays)}
-    plans = [plan for split, excitations in by_split.items()
-             for plan in _decay_plans(split, excitations, decay_duration, noise_std)]
+    plans = _plans({"train": decays, "validation": validation_decays, "test": test_decays}, decay_duration, release,
+                   controlled, noise_std)
+    workers = available_cores() if workers is None else _count("workers", workers, least=1)
+    provenance = _provenance(plant, plans, seed)
+    store = None if directory is None else Recorded(_comparable(plant, directory), provenance)
+    if store and (dataset := store.complete()):
+        return dataset
+    finished = store.take() if store else {}
+    _record_rest(plant, plans, seed, workers, finished, store, progress)
+    return _dataset(plant, [finished[plan.name] for plan in plans], provenance)
+
+
+def _plans(decays: dict[str, int | Sequence[Release]], duration: float, release: Release,
+           controlled: Sequence[ControlledRun], noise_std: float) -> list[RecordingPlan]:
+    excitations = {split: [release] * _count(f"the number of {split} decays", of_split, least=0)
+                   if isinstance(of_split, int) else list(of_split) for split, of_split in decays.items()}
+    plans = [plan for split, chosen in excitations.items() for plan in decay_plans(split, chosen, duration, noise_std)]
     plans += [plan for run in controlled for plan in run.plans(noise_std)]
-    _check_names(plans)
-    trajectories = [record(plant, plan, seed)
-                    for plan in tqdm(plans, desc="collect", unit="run", disable=not progress)]
-    return TrajectoryDataset(trajectories, plant.rest, plant.output_names, plant.input_names,
-                             plant.input_unit, _provenance(plant, plans, seed))
+    refuse_repeated_names(plans)
+    return plans
 
 
-def _decay_plans(split: str, excitations: Sequence[Release], duration: float,
-                 noise_std: float) -> list[RecordingPlan]:
-    for excitation in excitations:
-        if not isinstance(excitation, Release):
-            raise ValueError(f"{type(excitation).__name__} never lets go, so no decay follows it; "
-                             "use Ramp, RandomOnOffRamp or latin_hypercube_ramps")
-    return [RecordingPlan(f"decay-{split}-{index:03d}", "decay", split, excitation, duration,
-                          excitation.hold, noise_std)
-            for index, excitation in enumerate(excitations)]
+def _record_rest(plant: Plant, plans: Sequence[RecordingPlan], seed: int, workers: int,
+                 finished: dict[str, Trajectory], store: Recorded | None, progress: bool) -> None:
+    """Add the trajectories that are not finished yet to those that are."""
+    rest = [plan for plan in plans if plan.name not in finished]
+    total, missing = (sum(plan.samples(plant.timestep) for plan in chosen) for chosen in (plans, rest))
+
+    def keep(trajectory: Trajectory) -> None:
+        if store:
+            store.keep(_dataset(plant, [trajectory], store.provenance))
+        finished[trajectory.name] = trajectory
+
+    with tqdm(desc="collect", total=total, initial=total - missing, unit=" samples", smoothing=0,
+              disable=not progress) as bar:
+        try:
+            record_all(plant, rest, seed, workers, keep, lambda samples: bar.update(total - missing + samples - bar.n))
+        except (ValueError, ChildProcessError) as error:
+            kept = f"; {len(finished)} of {len(plans)} trajectories are kept in {store.folder}" if store else ""
+            raise type(error)(f"{error}{kept}") from error
 
 
-def _count(name: str, value: int) -> int:
-    if value < 0:
-        raise ValueError(f"{name} is {value}; expected 0 or more")
+def _dataset(plant: Plant, trajectories: Sequence[Trajectory], provenance: dict) -> TrajectoryDataset:
+    return TrajectoryDataset(trajectories, plant.rest, plant.output_names, plant.input_names, plant.input_unit,
+                             provenance)
+
+
+def _count(name: str, value: int, least: int) -> int:
+    if not isinstance(value, int) or value < least:
+        raise ValueError(f"{name} is {value!r}; expected a whole number, {least} or more")
     return value
 
 
-def _check_names(plans: Sequence[RecordingPlan]) -> None:
-    repeated = sorted(name for name, count in Counter(plan.name for plan in plans).items() if count > 1)
-    if repeated:
-        raise ValueError(f"{len(repeated)} names belong to more than one trajectory, the first is "
-                         f"{repeated[0]!r}; a name seeds its trajectory, so give each controlled run its own")
+def _comparable(plant: Plant, directory: str | Path) -> Path:
+    """Raises ValueError for a plant of unknown settings: what another had recorded would pass for its own."""
+    if not hasattr(plant, "parameters"):
+        raise ValueError(f"{type(plant).__name__} has no `parameters`, so what is kept in {directory} could be of "
+                         "another one; give it that property (a dict of plain values), or collect without a directory")
+    return Path(directory)
 
 
 def _provenance(plant: Plant, plans: Sequence[RecordingPlan], seed: int) -> dict:
-    plant_class = type(plant)
-    return {"source": "simulation", "seed": seed,
-            "plant": {"class": f"{plant_class.__module__}.{plant_class.__qualname__}",
-                      "timestep": plant.timestep, "input_bounds": plant.input_bounds.tolist(),
-                      "parameters": getattr(plant, "parameters", {})},
-            "plans": [{"name": plan.name, "start": plan.start, "duration": plan.duration,
-                       "noise_std": plan.noise_std, "excitation": _described(plan.excitation)}
-                      for plan in plans]}
-
-
-def _described(excitation: Excitation) -> dict:
-    settings = asdict(excitation) if is_dataclass(excitation) else {}
-    return {"class": type(excitation).__qualname__,
-            **{key: np.asarray(value).tolist() for key, value in settings.items()}}
+    """Raises ValueError for an impossible plan, or a plant whose parameters no file can hold."""
+    described = {"source": "simulation", "package": f"ssmr_torch {__version__}", "seed": seed,
+                 "plant": described_plant(plant),
+                 "plans": [described_plan(plan, plan.signal(plant, seed)) for plan in plans]}
+    try:
+        return json.loads(json.dumps(described))
+    except TypeError as error:
+        raise ValueError(f"the settings of {type(plant).__name__} or of an excitation are not plain values ({error}); "
+                         "give numbers, texts, lists and dicts") from error

@@ -3,6 +3,8 @@
 An excitation is called as excitation(rng, samples, timestep, bounds) → (samples, m), with bounds (2, m) the
 lowest and highest input; row k is held from k·timestep to (k + 1)·timestep. Levels are fractions of the way
 from lowest to highest. Equal generators give equal signals.
+
+SciPy's modules are imported where they are used: they take a second, and every process that records would wait for it.
 """
 
 from __future__ import annotations
@@ -13,9 +15,6 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.random import Generator
-from scipy.interpolate import CubicSpline
-from scipy.signal import chirp
-from scipy.stats import qmc
 
 
 class Excitation(Protocol):
@@ -78,9 +77,7 @@ class RandomOnOffRamp:
 def latin_hypercube_ramps(count: int, inputs: int, seed: int, share: float = 1.0,
                           ramp: float = 0.6, hold: float = 1.0) -> list[Ramp]:
     """`count` ramps whose levels are a Latin hypercube on [0, share]^inputs: every input is spread evenly."""
-    _check_share(share)
-    levels = share * qmc.LatinHypercube(inputs, rng=np.random.default_rng(seed)).random(count)
-    return [Ramp(tuple(row.tolist()), ramp, hold) for row in levels]
+    return [Ramp(levels, ramp, hold) for levels in _latin_hypercube(count, inputs, seed, share)]
 
 
 @dataclass(frozen=True)
@@ -101,6 +98,8 @@ class SmoothRandom:
             raise ValueError(f"lowest is {self.lowest}; expected a finite fraction below 1")
 
     def __call__(self, rng: Generator, samples: int, timestep: float, bounds: np.ndarray) -> np.ndarray:
+        from scipy.interpolate import CubicSpline
+
         time = np.arange(samples) * timestep
         intervals = max(1, int(np.ceil(time[-1] / self.knot_interval)))
         levels = self.share * rng.uniform(self.lowest, 1, (intervals + 1, bounds.shape[1]))
@@ -136,12 +135,23 @@ class SetPoints:
         _check_fractions("levels", self.levels)
         _check_positive("hold", self.hold)
 
+    @property
+    def duration(self) -> float:
+        """Until the last set point was held as long as the others, s."""
+        return len(self.levels) * self.hold
+
     def __call__(self, rng: Generator, samples: int, timestep: float, bounds: np.ndarray) -> np.ndarray:
         levels = np.asarray(self.levels, dtype=np.float64)
         if levels.ndim != 2 or levels.shape[1] != bounds.shape[1]:
             raise ValueError(f"levels have shape {levels.shape}; expected (K, {bounds.shape[1]}), "
                              "one row per set point")
         return _scale(levels[np.minimum(_interval(samples, timestep, self.hold), len(levels) - 1)], bounds)
+
+
+def latin_hypercube_set_points(count: int, inputs: int, seed: int, share: float = 1.0,
+                               hold: float = 2.0) -> SetPoints:
+    """`count` set points, a Latin hypercube on [0, share]^inputs: every input is spread evenly."""
+    return SetPoints(tuple(_latin_hypercube(count, inputs, seed, share)), hold)
 
 
 @dataclass(frozen=True)
@@ -159,6 +169,8 @@ class Chirp:
                              "expected 0 < slowest < fastest")
 
     def __call__(self, rng: Generator, samples: int, timestep: float, bounds: np.ndarray) -> np.ndarray:
+        from scipy.signal import chirp
+
         if self.fastest >= 0.5 / timestep:
             raise ValueError(f"fastest is {self.fastest} Hz, but a signal held for {timestep} s carries less "
                              f"than {0.5 / timestep:g} Hz; lower it or the timestep")
@@ -171,6 +183,15 @@ class Chirp:
 
 def _scale(fractions: np.ndarray, bounds: np.ndarray) -> np.ndarray:
     return np.clip(bounds[0] + fractions * (bounds[1] - bounds[0]), bounds[0], bounds[1])
+
+
+def _latin_hypercube(count: int, inputs: int, seed: int, share: float) -> list[tuple[float, ...]]:
+    """`count` rows of levels; each input has one in each of `count` equal intervals of [0, share]."""
+    from scipy.stats import qmc
+
+    _check_share(share)
+    levels = share * qmc.LatinHypercube(inputs, rng=np.random.default_rng(seed)).random(count)
+    return [tuple(row.tolist()) for row in levels]
 
 
 def _interval(samples: int, timestep: float, hold: float) -> np.ndarray:

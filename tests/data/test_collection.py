@@ -9,7 +9,14 @@ import pytest
 from omegaconf import OmegaConf
 
 from ssmr_torch.data.collection import ControlledRun, RecordingPlan, collect, record
-from ssmr_torch.data.excitation import RandomOnOffRamp, SetPoints, SmoothRandom, latin_hypercube_ramps
+from ssmr_torch.data.excitation import (
+    Ramp,
+    RandomOnOffRamp,
+    SetPoints,
+    SmoothRandom,
+    latin_hypercube_ramps,
+    latin_hypercube_set_points,
+)
 from ssmr_torch.plants.slow_manifold import SlowManifold
 from ssmr_torch.trajectory import TrajectoryDataset
 
@@ -118,10 +125,22 @@ def test_designed_decays_are_recorded_one_by_one():
     assert len(dataset.select("train", "decay")) == 4
 
 
+def test_static_set_points_are_held_one_after_the_other_to_the_end_of_the_last():
+    points = latin_hypercube_set_points(5, 4, seed=0, share=0.5, hold=0.4)
+    run, = small(decays=0, validation_decays=0, test_decays=0,
+                 controlled=(ControlledRun("static", points, kind="static"),))
+    assert run.kind == "static" and run.length == 5 * 40
+    np.testing.assert_allclose(run.input[::40], 1.5 * np.array(points.levels))
+    with pytest.raises(ValueError, match="SmoothRandom has no end of its own; give the run a duration"):
+        ControlledRun("endless", SmoothRandom())
+
+
 @pytest.mark.parametrize("changes", [
     {"controlled": (RUNS[0], RUNS[0])}, {"decays": -1}, {"test_decays": -2}, {"release": SmoothRandom()},
     {"decays": [RandomOnOffRamp(), SmoothRandom()]}, {"decay_duration": 0.0}, {"noise_std": -1.0},
-    {"controlled": (ControlledRun("x", SmoothRandom(), 1.0, split="holdout"),)}])
+    {"controlled": (ControlledRun("x", SmoothRandom(), 1.0, split="holdout"),)},
+    {"controlled": (ControlledRun("x", Ramp((0.5, 0.2)), 1.0),)}, {"controlled": (ControlledRun("x", Ramp([0]), 1.0),)},
+    {"decay_duration": 0.014}])
 def test_an_impossible_plan_is_refused_before_the_plant_moves(changes):
     plant = SlowManifold()
     plant.step = lambda u: pytest.fail("the plant was moved")

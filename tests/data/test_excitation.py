@@ -12,6 +12,7 @@ from ssmr_torch.data.excitation import (
     SetPoints,
     SmoothRandom,
     latin_hypercube_ramps,
+    latin_hypercube_set_points,
 )
 
 BOUNDS = np.array([[0.0, -1.0, 0.5], [1.5, 1.0, 4.0]])
@@ -19,7 +20,8 @@ TIMESTEP = 0.01
 EXCITATIONS = [Ramp((0.2, 0.0, 1.0)), RandomOnOffRamp(), RandomOnOffRamp(share=0.4, probability=0.9),
                SmoothRandom(), SmoothRandom(0.25, share=0.6, lowest=0.0), RandomSteps(0.3),
                Chirp(), Chirp(0.5, 10.0, share=0.7),
-               SetPoints(((0.0, 0.5, 1.0), (1.0, 0.0, 0.2)), hold=0.7), *latin_hypercube_ramps(2, 3, seed=0)]
+               SetPoints(((0.0, 0.5, 1.0), (1.0, 0.0, 0.2)), hold=0.7), *latin_hypercube_ramps(2, 3, seed=0),
+               latin_hypercube_set_points(5, 3, seed=0, hold=0.5)]
 
 
 def draw(excitation, samples=400, seed=0, bounds=BOUNDS):
@@ -50,7 +52,8 @@ def test_another_seed_gives_another_signal(excitation):
 
 @pytest.mark.parametrize("excitation", [RandomOnOffRamp(share=0.5), SmoothRandom(share=0.5),
                                         RandomSteps(share=0.5), Chirp(share=0.5),
-                                        *latin_hypercube_ramps(5, 3, seed=1, share=0.5)], ids=repr)
+                                        *latin_hypercube_ramps(5, 3, seed=1, share=0.5),
+                                        latin_hypercube_set_points(20, 3, seed=1, share=0.5)], ids=repr)
 def test_a_share_of_the_range_is_not_exceeded(excitation):
     assert fractions(excitation, samples=2000).max() <= 0.5 + 1e-12
 
@@ -77,9 +80,11 @@ def test_each_cable_is_on_as_often_as_asked_and_uniform_when_it_is():
 
 
 def test_a_latin_hypercube_puts_one_level_of_each_input_in_every_stratum():
-    levels = np.array([ramp.levels for ramp in latin_hypercube_ramps(40, 4, seed=3)])
-    for column in levels.T:
-        np.testing.assert_array_equal(np.sort((40 * column).astype(int)), np.arange(40))
+    ramps = [ramp.levels for ramp in latin_hypercube_ramps(40, 4, seed=3)]
+    points = latin_hypercube_set_points(40, 4, seed=3, share=0.5).levels
+    for levels, share in ((ramps, 1.0), (points, 0.5)):
+        for column in np.array(levels).T:
+            np.testing.assert_array_equal(np.sort((40 * column / share).astype(int)), np.arange(40))
 
 
 def test_a_smooth_signal_is_smooth_and_slack_part_of_the_time():
@@ -106,6 +111,14 @@ def test_set_points_follow_each_other_and_the_last_stays():
     np.testing.assert_allclose(signal[70:], np.tile([1.0, 0.0, 0.2], (230, 1)))
 
 
+def test_set_points_of_a_latin_hypercube_are_each_held_until_the_robot_rests():
+    points = latin_hypercube_set_points(6, 3, seed=2, hold=0.5)
+    assert points.duration == pytest.approx(3.0)
+    signal = fractions(points, samples=300)
+    np.testing.assert_allclose(signal, np.repeat(points.levels, 50, axis=0), atol=1e-12)
+    assert not np.allclose(points.levels, latin_hypercube_set_points(6, 3, seed=4, hold=0.5).levels)
+
+
 def test_a_chirp_sweeps_from_slow_to_fast():
     signal = draw(Chirp(0.2, 5.0), samples=2000)[:, 0]
     crossings = np.flatnonzero(np.diff(np.sign(signal - signal.mean())))
@@ -119,7 +132,8 @@ def test_a_chirp_sweeps_from_slow_to_fast():
     lambda: Ramp((1.0,), ramp=2.0, hold=1.0),
     lambda: RandomOnOffRamp(share=1.1), lambda: RandomOnOffRamp(probability=0.0), lambda: SmoothRandom(0.0),
     lambda: SmoothRandom(lowest=1.0), lambda: RandomSteps(hold=-1.0), lambda: Chirp(2.0, 1.0),
-    lambda: SetPoints(((0.0, 2.0),)), lambda: latin_hypercube_ramps(4, 2, seed=0, share=0.0)])
+    lambda: SetPoints(((0.0, 2.0),)), lambda: latin_hypercube_set_points(4, 2, seed=0, share=1.5),
+    lambda: latin_hypercube_set_points(0, 2, seed=0), lambda: latin_hypercube_ramps(4, 2, seed=0, share=0.0)])
 def test_impossible_settings_are_refused_when_built(build):
     with pytest.raises(ValueError, match="expected"):
         build()
