@@ -1,8 +1,13 @@
-# make run: the whole line on the default plant.  make test: the tests.  Both make the environment first.
+# make run: the whole line on the trunk, with a coarse mesh; make run PRESET=full: with the full one.
+# make test: the tests.  Both make the environment first.
 PYTHON ?= python3
 BIN := .venv/bin
 RUN := outputs/run/$(shell date +%Y-%m-%d_%H-%M-%S)
 PYTEST_ARGS ?=
+PRESET ?= quick
+PLANT_quick := trunk_coarse
+PLANT_full := trunk
+PLANT := $(or $(PLANT_$(PRESET)),$(error PRESET is $(PRESET); expected quick or full))
 
 .PHONY: run test lint benchmark clean
 
@@ -12,12 +17,17 @@ PYTEST_ARGS ?=
 	touch $@
 
 run: .venv/installed
-	$(BIN)/python experiments/collect.py hydra.run.dir=$(RUN)/collect
-	$(BIN)/python experiments/train.py -m model=ssmr,sssr data.path=$(RUN)/collect/trajectories.h5 hydra.sweep.dir=$(RUN)/train
-	$(BIN)/python experiments/export.py -m checkpoint=$(RUN)/train/0/model.ckpt,$(RUN)/train/1/model.ckpt hydra.sweep.dir=$(RUN)/export
+	$(BIN)/python experiments/collect.py plant=$(PLANT) excitation=trunk hydra.run.dir=$(RUN)/collect
+	$(BIN)/python experiments/train.py experiment=trunk model=ssmr model.dynamics_degree=2 model.parametrization_degree=1 \
+		data.path=$(RUN)/collect/trajectories.h5 hydra.run.dir=$(RUN)/train/ssmr
+	$(BIN)/python experiments/train.py experiment=trunk model=sssr \
+		data.path=$(RUN)/collect/trajectories.h5 hydra.run.dir=$(RUN)/train/sssr
+	$(BIN)/python experiments/export.py -m checkpoint=$(RUN)/train/ssmr/model.ckpt,$(RUN)/train/sssr/model.ckpt \
+		hydra.sweep.dir=$(RUN)/export
 	$(BIN)/python experiments/evaluate.py 'artifact=[$(RUN)/export/0/artifact,$(RUN)/export/1/artifact]' \
 		data.path=$(RUN)/collect/trajectories.h5 kind=controlled 'outputs=[tip_x,tip_y,tip_z]' hydra.run.dir=$(RUN)/evaluate
-	$(BIN)/python experiments/control.py -m artifact=$(RUN)/export/0/artifact,$(RUN)/export/1/artifact hydra.sweep.dir=$(RUN)/control
+	$(BIN)/python experiments/control.py -m artifact=$(RUN)/export/0/artifact,$(RUN)/export/1/artifact plant=$(PLANT) \
+		controller=scp_trunk task=letter hydra.sweep.dir=$(RUN)/control
 	$(BIN)/python experiments/report.py directory=$(RUN) hydra.run.dir=$(RUN)/report
 
 test: .venv/installed
@@ -29,6 +39,7 @@ lint: .venv/installed
 benchmark: .venv/installed
 	$(BIN)/python experiments/benchmarks/fit.py
 	$(BIN)/python experiments/benchmarks/control_step.py
+	$(BIN)/python experiments/benchmarks/plant_step.py
 
 clean:
 	rm -rf .venv outputs/*

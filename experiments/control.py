@@ -6,6 +6,7 @@ from omegaconf import OmegaConf
 
 from ssmr_torch import artifact
 from ssmr_torch.closed_loop import simulate
+from ssmr_torch.evaluation.deformation import draw_robot
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.provenance import provenance
 
@@ -22,6 +23,7 @@ def main(config, directory):
     record = simulate(plant, controller, task, seed=config.seed, noise_std=config.noise_std,
                       progress=config.progress, provenance=origin | {"input_bounds": plant.input_bounds.tolist()})
     record.save(directory / "record.h5")
+    draw_robot(plant, record, directory, config.animate)
     metrics = closed_loop_metrics(record)
     save_json(directory / "metrics.json", metrics)
     print(f"{origin['model']}: RMSE {1e3 * metrics['rmse']:.3g} mm, max {1e3 * metrics['max_error']:.3g} mm, "

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from ssmr_torch.plants.finite_element.compiled import kernel
 from ssmr_torch.plants.finite_element.sparsity import Sparsity
 
 
@@ -56,7 +56,7 @@ def _fill(graph) -> list[np.ndarray]:
     return columns
 
 
-@njit(cache=True)
+@kernel
 def _targets(pointers, rows):
     """Per column, per pair a < b of its blocks: the place of block (row b, row a) among all blocks."""
     count = 0
@@ -76,7 +76,7 @@ def _targets(pointers, rows):
     return targets
 
 
-@njit(cache=True)
+@kernel
 def _load(data, sources, strides, places, blocks, pivots):
     for k in range(len(sources)):
         block = blocks[places[k]] if places[k] >= 0 else pivots[-1 - places[k]]
@@ -85,7 +85,7 @@ def _load(data, sources, strides, places, blocks, pivots):
                 block[3 * i + j] = data[sources[k] + j * strides[k] + i]
 
 
-@njit(cache=True)
+@kernel
 def _invert(p):
     a, b, c, d, e, f = p[0], p[3], p[6], p[4], p[7], p[8]
     x, y, z = d * f - e * e, c * e - b * f, b * e - c * d
@@ -96,7 +96,7 @@ def _invert(p):
     p[5] = p[7] = (b * c - a * e) / determinant
 
 
-@njit(cache=True)
+@kernel
 def _subtract_product(target, left, right):
     """target −= left · rightᵀ."""
     for i in range(3):
@@ -105,7 +105,7 @@ def _subtract_product(target, left, right):
             target[3 * i + j] -= l0 * right[3 * j] + l1 * right[3 * j + 1] + l2 * right[3 * j + 2]
 
 
-@njit(cache=True)
+@kernel
 def _factorize(pointers, rows, targets, blocks, pivots):
     scaled = np.empty((np.max(pointers[1:] - pointers[:-1]), 9))
     at = 0
@@ -129,7 +129,7 @@ def _factorize(pointers, rows, targets, blocks, pivots):
             blocks[a] = scaled[a - first]
 
 
-@njit(cache=True)
+@kernel
 def _substitute(pointers, rows, blocks, pivots, x):
     for j in range(len(pivots)):
         for a in range(pointers[j], pointers[j + 1]):

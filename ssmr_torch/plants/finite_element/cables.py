@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
+from ssmr_torch.plants.finite_element.compiled import kernel
 from ssmr_torch.plants.finite_element.mesh import TetrahedralMesh
 
 
@@ -81,7 +81,7 @@ class Cables:
         return np.concatenate([previous, self.nodes], axis=1)
 
 
-@njit(cache=True)
+@kernel
 def _waypoint(positions, nodes, weights, k, point):
     for i in range(3):
         total = 0.0
@@ -90,7 +90,7 @@ def _waypoint(positions, nodes, weights, k, point):
         point[i] = total
 
 
-@njit(cache=True)
+@kernel
 def _add_force(positions, tensions, anchors, starts, nodes, weights, force):
     previous, point = np.empty(3), np.empty(3)
     for cable in range(len(anchors)):
@@ -111,7 +111,7 @@ def _add_force(positions, tensions, anchors, starts, nodes, weights, force):
             previous[:] = point
 
 
-@njit(cache=True)
+@kernel
 def _add_stiffness(positions, tensions, anchors, starts, nodes, weights, places, strides, data):
     previous, point, direction = np.empty(3), np.empty(3), np.empty(3)
     ends = np.empty(8)

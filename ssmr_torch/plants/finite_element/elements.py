@@ -11,7 +11,8 @@ so one kernel assembles both.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from ssmr_torch.plants.finite_element.compiled import kernel
 
 COROTATIONAL, NEO_HOOKEAN = 0, 1
 LAWS = {"corotational": COROTATIONAL, "neo_hookean": NEO_HOOKEAN}
@@ -25,7 +26,7 @@ def lame_parameters(young: float, poisson: float) -> tuple[float, float]:
     return young * poisson / ((1 + poisson) * (1 - 2 * poisson)), young / (2 * (1 + poisson))
 
 
-@njit(cache=True)
+@kernel
 def edge_frame(positions, nodes, frame):
     """Columns: unit vector of the edge 0 → 1, in-plane normal to it, normal of the face 0, 1, 2."""
     for i in range(3):
@@ -38,21 +39,21 @@ def edge_frame(positions, nodes, frame):
     _normalize(frame, 1)
 
 
-@njit(cache=True)
+@kernel
 def _cross(frame, a, b, target):
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         frame[i, target] = frame[j, a] * frame[k, b] - frame[k, a] * frame[j, b]
 
 
-@njit(cache=True)
+@kernel
 def _normalize(frame, column):
     length = np.sqrt(frame[0, column] ** 2 + frame[1, column] ** 2 + frame[2, column] ** 2)
     for i in range(3):
         frame[i, column] /= length
 
 
-@njit(cache=True)
+@kernel
 def _gradient(positions, nodes, gradients, deformation):
     for i in range(3):
         for j in range(3):
@@ -62,7 +63,7 @@ def _gradient(positions, nodes, gradients, deformation):
             deformation[i, j] = total
 
 
-@njit(cache=True)
+@kernel
 def _corotational(deformation, rotation, lame, shear, stress):
     """P = R σ, σ = λ tr(ε) I + 2 μ ε, ε = sym(Rᵀ F) − I: linear elasticity in the turned frame."""
     strain = np.empty((3, 3))
@@ -82,7 +83,7 @@ def _corotational(deformation, rotation, lame, shear, stress):
             stress[i, j] = total
 
 
-@njit(cache=True)
+@kernel
 def _inverse_transpose(matrix, result):
     """matrix⁻ᵀ; returns the determinant."""
     for i in range(3):
@@ -98,7 +99,7 @@ def _inverse_transpose(matrix, result):
     return determinant
 
 
-@njit(cache=True)
+@kernel
 def assemble(law, positions, tetrahedra, gradients, volumes, rest_frames, lame, shear, force, places, strides, data):
     """Add internal forces to `force` (N, 3) and stiffness to `data`; returns the number of inverted elements.
 
@@ -140,24 +141,29 @@ def assemble(law, positions, tetrahedra, gradients, volumes, rest_frames, lame, 
     return inverted
 
 
-@njit(cache=True)
+@kernel
 def _add_stiffness(gradient, moved, diagonal, crossed, direct, places, strides, data):
+    """The blocks a ≥ b, and a > b once more transposed."""
     for b in range(4):
-        stride = strides[b]
-        for a in range(4):
-            place = places[a, b]
+        for a in range(b, 4):
+            place, mirrored = places[a, b], places[b, a]
             if place < 0:
                 continue
+            down, right = strides[b], strides[a]
             isotropic = diagonal * (gradient[a, 0] * gradient[b, 0] + gradient[a, 1] * gradient[b, 1]
                                     + gradient[a, 2] * gradient[b, 2])
             for j in range(3):
+                first, second = crossed * moved[a, j], direct * moved[b, j]
                 for i in range(3):
-                    data[place + i] += crossed * moved[b, i] * moved[a, j] + direct * moved[a, i] * moved[b, j]
-                data[place + j] += isotropic
-                place += stride
+                    value = first * moved[b, i] + second * moved[a, i]
+                    if i == j:
+                        value += isotropic
+                    data[place + j * down + i] += value
+                    if a > b:
+                        data[mirrored + i * right + j] += value
 
 
-@njit(cache=True)
+@kernel
 def _frame_spin(positions, nodes, frame, spin):
     """∂ω/∂x of the nodes 0, 1, 2, (3, 3, 3): the frame turns by ω when the nodes move, and node 3 does not turn it.
 
@@ -183,7 +189,7 @@ def _frame_spin(positions, nodes, frame, spin):
             spin[0, i, j] = -spin[1, i, j] - twist
 
 
-@njit(cache=True)
+@kernel
 def add_frame_stiffness(positions, tetrahedra, gradients, volumes, rest_frames, lame, shear, places, strides, data):
     """What the turning of the edge frames adds to R K_e Rᵀ: with it the corotational tangent is exact, unsymmetric.
 
@@ -217,7 +223,7 @@ def add_frame_stiffness(positions, tetrahedra, gradients, volumes, rest_frames, 
                             data[places[e, a, b] + j * strides[e, b] + i] += block[i, j]
 
 
-@njit(cache=True)
+@kernel
 def rest_frames(positions, tetrahedra):
     """(E, 3, 3) edge frames of the undeformed tetrahedra."""
     frames = np.empty((len(tetrahedra), 3, 3))

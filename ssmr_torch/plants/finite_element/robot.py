@@ -22,7 +22,7 @@ class FiniteElementRobot:
     """A clamped elastic body of tetrahedra that cables pull; a Plant.
 
     markers: name → a node's number, or a point (3,) m in the undeformed body, which stands for the node nearest to it;
-    the first is the tip, where the payload hangs. The observation is their displacement from the rest of the nominal
+    the first is the tip, where the payload hangs; None leaves a marker out. The observation is their displacement from the rest of the nominal
     robot (no payload, stiffness_scale 1): a loaded robot starts at its own rest, which is elsewhere.
     input_bounds: (2,) or (2, m) N, the lowest zero or more, as cables only pull.
     scheme: "backward_euler" (the reference), "generalized_alpha" or "bdf2"; the last two need the neo-Hookean law.
@@ -49,7 +49,7 @@ class FiniteElementRobot:
                              "for Newton's method, and one linear solve per step limit-cycles with the neo-Hookean; "
                              "use backward_euler with corotational, generalized_alpha or bdf2 with neo_hookean")
         self.name, self.timestep = name, float(timestep)
-        self.markers = {marker: _node(mesh, marker, place) for marker, place in markers.items()}
+        self.markers = {marker: _node(mesh, marker, place) for marker, place in markers.items() if place is not None}
         if not self.markers:
             raise ValueError("no markers; name one at least, the tip first")
         self.output_names = tuple(f"{marker}_{axis}" for marker in self.markers for axis in AXES)
@@ -89,6 +89,21 @@ class FiniteElementRobot:
     def positions(self) -> np.ndarray:
         """(N, 3) m, where all nodes are now."""
         return self._state.positions.copy()
+
+    @property
+    def resting(self) -> np.ndarray:
+        """(N, 3) m, where all nodes are at rest, under the payload."""
+        return self._rest.copy()
+
+    @property
+    def surface(self) -> np.ndarray:
+        """(F, 3) nodes of the triangles that one sees."""
+        return self.structure.mesh.surface
+
+    @property
+    def hangs(self) -> bool:
+        """Whether gravity pulls the tip away from the clamp along +z."""
+        return self.structure.mechanics.gravity[2] > 0
 
     @property
     def undeformed(self) -> np.ndarray:

@@ -1,0 +1,64 @@
+"""The shapes that a finite-element robot took in a closed loop, by replaying its record."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ssmr_torch.closed_loop import ClosedLoopRecord
+from ssmr_torch.evaluation import figures
+from ssmr_torch.evaluation.robot_figures import HANGING, STANDING, robot_animation, robot_stills
+
+STILLS = 5
+FRAMES_PER_SECOND = 25.0
+
+
+def replayed_shapes(plant, record: ClosedLoopRecord, samples: np.ndarray) -> np.ndarray:
+    """(K, N, 3) m, node positions at these samples, ascending, of the run from rest under the record's inputs and seed.
+
+    plant: a `FiniteElementRobot`, or a rig with one.   Raises ValueError when the replay does not end where the record
+    does: the plant is another one.
+    """
+    robot = getattr(plant, "plant", plant)
+    plant.reset(record.provenance["seed"])
+    shapes = [robot.positions] if samples[0] == 0 else []
+    for k, tensions in enumerate(record.input[:samples[-1]], 1):
+        plant.step(tensions)
+        if k in samples:
+            shapes.append(robot.positions)
+    missed = np.abs(plant.displacement - record.observation[samples[-1]]).max()
+    if missed > 1e-9:
+        raise ValueError(f"the replay ends {1e3 * missed:.3g} mm beside the record, expected 1e-6 mm at most; "
+                         "replay with the plant that the record was made with")
+    return np.stack(shapes)
+
+
+def draw_robot(plant, record: ClosedLoopRecord, directory: Path, animate: bool = False) -> list[Path]:
+    """Save robot.svg, the robot at five instants, and robot.gif on demand; nothing for a plant that has no shape.
+
+    The tip is the plant's first marker. A reference is drawn where the task tracks coordinates of it alone.
+    """
+    robot = getattr(plant, "plant", plant)
+    if not hasattr(robot, "positions"):
+        return []
+    last = len(record.time) - 1
+    tip = record.observation[:, :3] + robot.rest[:3]
+    plane = list(record.tracked) if set(record.tracked) <= {0, 1, 2} else None
+    reference = None
+    if plane is not None:
+        reference = np.tile(robot.rest[:3], (len(record.time), 1))
+        reference[:, plane] += record.reference
+    drawn = {"tip_times": record.time, "camera": HANGING if robot.hangs else STANDING,
+             "plane": plane if plane is not None and len(plane) == 2 else None,
+             "name": record.provenance.get("model", "model")}
+    samples = np.round(np.linspace(0.0, 1.0, STILLS + 1)[1:] * last).astype(int)
+    stills = robot_stills(replayed_shapes(plant, record, samples), robot.surface, record.time[samples], tip, reference,
+                          rest=robot.resting, **drawn)
+    saved = [figures.save(stills, directory / "robot.svg")]
+    if animate:
+        samples = np.arange(0, last + 1, max(1, round(1 / FRAMES_PER_SECOND / plant.timestep)))
+        saved.append(robot_animation(directory / "robot.gif", replayed_shapes(plant, record, samples), robot.surface,
+                                     record.time[samples], tip, reference, rest=robot.resting,
+                                     rate=FRAMES_PER_SECOND, **drawn))
+    return saved
