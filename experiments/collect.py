@@ -15,6 +15,8 @@ def main(config, directory):
     path = directory / COMPLETE
     if not path.exists():
         dataset.provenance.update(provenance(OmegaConf.to_container(config, resolve=True)))
+        rates = getattr(getattr(plant, "plant", plant), "eigenvalues", [])  # of the plant on the rig
+        dataset.provenance["eigenvalues"] = [[float(rate.real), float(rate.imag)] for rate in rates]
         dataset.save(path)
     discard_recorded(directory)
     samples = sum(trajectory.length for trajectory in dataset)

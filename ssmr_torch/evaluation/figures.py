@@ -105,12 +105,13 @@ def singular_values(values: np.ndarray, dimension: int) -> Figure:
 
 
 @styled
-def eigenvalues(spectra: Mapping[str, np.ndarray], reference: np.ndarray | None = None) -> Figure:
+def eigenvalues(spectra: Mapping[str, np.ndarray], reference: np.ndarray | None = None,
+                label: str = "reference") -> Figure:
     """Eigenvalues (1/s) of the reduced dynamics' linear part, per method; a reference as open circles."""
     figure, axes = panels(WIDTH / 2, 2.8)
     axes.axvline(0.0, color="#666666", linewidth=0.8)
     if reference is not None:
-        axes.plot(np.real(reference), np.imag(reference), "o", color="black", mfc="none", ms=9, label="reference")
+        axes.plot(np.real(reference), np.imag(reference), "o", color="black", mfc="none", ms=9, label=label)
     palette = colours(spectra)
     for (name, values), marker in zip(spectra.items(), "o^sDvPX" * len(spectra)):
         axes.plot(np.real(values), np.imag(values), marker, color=palette[name], markersize=4.5, label=name)

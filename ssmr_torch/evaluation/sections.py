@@ -47,8 +47,12 @@ def prediction_figures(models: Mapping[str, object], scores: Mapping[str, OpenLo
     return {"error_over_horizon": figures.error_over_horizon(horizons, errors), "prediction": overlay}
 
 
-def training_figures(report: Mapping[str, Mapping]) -> dict:
-    """Singular values and eigenvalues of the fits that found them; singular values of zero are not drawn."""
+def training_figures(report: Mapping[str, Mapping], plant: Sequence[tuple[float, float]] | None = None) -> dict:
+    """Singular values and eigenvalues of the fits that found them; singular values of zero are not drawn.
+
+    plant: real and imaginary part, 1/s, of the plant's own eigenvalues, where they are known; those no further out
+    than twice the fits' are drawn.
+    """
     drawn = {}
     for fit in report.values():
         values = np.array(fit.get("singular_values") or [])
@@ -58,7 +62,9 @@ def training_figures(report: Mapping[str, Mapping]) -> dict:
     spectra = {step.replace("_", " "): np.array(fit["eigenvalues"]) @ np.array([1.0, 1.0j])
                for step, fit in report.items() if fit.get("eigenvalues")}
     if spectra:
-        drawn["eigenvalues"] = figures.eigenvalues(spectra)
+        known = np.array([complex(*rate) for rate in plant or []], dtype=np.complex128)
+        known = known[np.abs(known) <= 2 * max(np.abs(values).max() for values in spectra.values())]
+        drawn["eigenvalues"] = figures.eigenvalues(spectra, known if len(known) else None, "plant")
     return drawn
 
 
@@ -69,11 +75,11 @@ def collect_sections(directory: str | Path) -> list[Section]:
     Raises ValueError when there are none.
     """
     directory = Path(directory)
-    alike: dict[tuple, list[ClosedLoopRecord]] = {}
+    alike: dict[tuple, dict[Path, ClosedLoopRecord]] = {}
     for path in sorted(directory.rglob("record.h5")):
         record = ClosedLoopRecord.load(path)
-        alike.setdefault(_setting(record), []).append(record)
-    sections = [closed_loop_section(records) for records in alike.values()]
+        alike.setdefault(_setting(record), {})[path] = record
+    sections = [closed_loop_section(list(records.values()), _robot_picture(records)) for records in alike.values()]
     sections += [open_loop_section(path) for path in sorted(directory.rglob("scores.json"))]
     sections += [training_section(path) for path in sorted(directory.rglob("report.json"))]
     if not sections:
@@ -82,8 +88,8 @@ def collect_sections(directory: str | Path) -> list[Section]:
     return sections
 
 
-def closed_loop_section(records: Sequence[ClosedLoopRecord]) -> Section:
-    """Tracking table, one row per record, and figures of the first six.
+def closed_loop_section(records: Sequence[ClosedLoopRecord], picture: Picture | None = None) -> Section:
+    """Tracking table, one row per record, a picture of the robot, and figures of the first six records.
 
     Equal model names are numbered, and different seeds are shown. A record whose errors do not exist, as it broke
     off or is too short, has an empty row and is not drawn; the text says why.
@@ -101,14 +107,15 @@ def closed_loop_section(records: Sequence[ClosedLoopRecord]) -> Section:
         except ValueError as error:
             missing.append(f"{name} has no errors: {error}.")
     drawn = {name: runs[name] for name in list(measured)[:PATHS_PER_FIGURE]}
-    settings = ", ".join(f"{key} {value}" for key, value in _plant_settings(records[0]).items() if key != "_target_")
-    plant = f"{origin['plant']} ({settings})" if settings else origin["plant"]
-    parts = [f"Task: {origin['task']}, {records[0].time[-1]:.1f} s, on the plant {plant}, "
+    parts = [f"Task: {origin['task']}, {records[0].time[-1]:.1f} s, on the plant {origin['plant']}, "
              f"measured with white noise of {1e3 * origin['noise_std']:.3g} mm. The controller runs the exported "
              f"artifact and plans every {1e3 * origin['period']:g} ms. "
              "Errors count from 1 s on; ISE is the sum of squared errors over the samples.",
              *missing, *_first_of(len(drawn), len(measured), "runs"), _tracking_table(runs, measured)]
-    return Section(f"Closed loop: {origin['task']}", parts + (_tracking_pictures(drawn) if drawn else []))
+    settings = [[key, str(value)] for key, value in _plant_settings(records[0]).items() if key != "_target_"]
+    table = [Table(["setting", "value"], settings, f"The {origin['plant']}, SI units.")] if settings else []
+    return Section(f"Closed loop: {origin['task']}", [*parts, *([picture] if picture else []),
+                                                      *(_tracking_pictures(drawn) if drawn else []), *table])
 
 
 def open_loop_section(path: Path) -> Section:
@@ -223,6 +230,16 @@ def _tracking_pictures(runs: Mapping[str, ClosedLoopRecord]) -> list[Picture]:
     times = {name: record.solve_time[np.isfinite(record.solve_time)] for name, record in runs.items()}
     return [*pictures, Picture(figures.solve_times(times, period), "Time in the controller at each control step.",
                                f"{len(next(iter(times.values())))} steps of each run", "ms")]
+
+
+def _robot_picture(records: Mapping[Path, ClosedLoopRecord]) -> Picture | None:
+    """The stills beside the first record that has them."""
+    for path, record in records.items():
+        caption = (f"The robot under {record.provenance.get('model', 'model')}, with its tip's path so far; "
+                   "pale: at rest.")
+        if found := _stored_pictures(path, [("robot", caption, "5 instants of 1 run", "mm")]):
+            return found[0]
+    return None
 
 
 def _stored_pictures(path: Path, pictures: Sequence[tuple[str, str, str, str]]) -> list[Picture]:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ssmr_torch.closed_loop import ClosedLoopRecord
+from ssmr_torch.evaluation import figures
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.evaluation.open_loop import compare_open_loop
 from ssmr_torch.evaluation.report import Picture, Table, write_report
@@ -98,10 +99,26 @@ def test_a_rig_is_described_by_what_is_on_and_one_that_is_off_changes_nothing():
     plant = {"_target_": "trunk", "observe": "tip"}
     section = closed_loop_section([record_of(configuration={"plant": plant}),
                                    record_of(configuration={"plant": plant, "rig": off})])
-    assert "on the plant Trunk (observe tip), measured" in section.parts[0]
+    assert parts_of(section, Table)[-1].rows == [["observe", "tip"]]
     on = off | {"sensor_delay": 0.02, "rate_limit": 10.0}
     section = closed_loop_section([record_of(configuration={"plant": plant, "rig": on})])
-    assert "on the plant Trunk (observe tip, rig sensor_delay 0.02, rig rate_limit 10.0), measured" in section.parts[0]
+    assert parts_of(section, Table)[-1].rows == [["observe", "tip"], ["rig sensor_delay", "0.02"],
+                                                 ["rig rate_limit", "10.0"]]
+
+
+def test_the_picture_of_the_robot_beside_a_record_is_shown_first(tmp_path):
+    first = saved(tmp_path, record_of(0), record_of(1))
+    drawing = figures.singular_values(np.array([2.0, 1.0]), 1)
+    figures.save(drawing, sorted(first.rglob("record.h5"))[1].with_name("robot.svg"))
+    pictures = parts_of(collect_sections(first)[0], Picture)
+    assert "tip's path so far" in pictures[0].caption and pictures[0].figure.name == "robot.svg"
+
+
+def test_the_eigenvalues_of_the_plant_are_drawn_with_those_of_the_fit_as_far_as_these_reach():
+    report = {"closed_form": {"state_dim": 2, "singular_values": None, "eigenvalues": [[-1.0, 10.0], [-1.0, -10.0]]}}
+    axes = training_figures(report, [[-1.1, 10.2], [-1.1, -10.2], [-90.0, 0.0]])["eigenvalues"].axes[0]
+    plant = next(line for line in axes.get_lines() if line.get_label() == "plant")
+    np.testing.assert_allclose(plant.get_ydata(), [10.2, -10.2])
 
 
 @pytest.mark.parametrize("runs", [6, 7])

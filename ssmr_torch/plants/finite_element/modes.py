@@ -1,4 +1,4 @@
-"""Linear modes of a robot: undamped frequencies, and the eigenvalues of its map from one sample to the next."""
+"""Linear modes of a `FiniteElementRobot` where it is now: frequencies, eigenvalues in continuous time and of a step."""
 
 from __future__ import annotations
 
@@ -6,19 +6,35 @@ import numpy as np
 from scipy.sparse import diags_array
 from scipy.sparse.linalg import LinearOperator, eigs, eigsh, splu
 
-from ssmr_torch.plants.finite_element.robot import FiniteElementRobot
 
-
-def undamped_frequencies(robot: FiniteElementRobot, count: int = 5) -> np.ndarray:
-    """The lowest ω of K φ = ω² M φ, (count,) rad/s; K the warped stiffness at the robot's present configuration."""
+def undamped_frequencies(robot, count: int = 5) -> np.ndarray:
+    """The lowest ω of K_w φ = ω² M φ, (count,) rad/s, K_w the warped stiffness."""
     structure = robot.structure
     stiffness = structure.sparsity.matrix(structure.warped_stiffness(robot.positions))
-    squares = eigsh(stiffness, count, M=diags_array(structure.mass).tocsc(), sigma=0.0, return_eigenvectors=False)
+    squares = eigsh(stiffness, count, M=diags_array(structure.mass).tocsc(), sigma=0.0, return_eigenvectors=False,
+                    v0=np.ones(structure.sparsity.size))
     return np.sqrt(np.sort(squares))
 
 
-def step_map_eigenvalues(robot: FiniteElementRobot, count: int = 8) -> np.ndarray:
-    """ln(μ)/h of the slowest eigenvalues μ of the backward Euler step at rest, (count,) 1/s, slowest first.
+def continuous_eigenvalues(robot, count: int = 8) -> np.ndarray:
+    """The slowest λ with det(λ² M + λ D + K) = 0, (count,) 1/s, slowest first; the inputs are the lowest.
+
+    Those nearest to the lowest undamped frequency σ > 0: about the origin, the rates that gather at −1/β would come
+    before slow oscillations.
+    """
+    at, n, shift = robot.linearization(), robot.structure.sparsity.size, undamped_frequencies(robot, 1)[0]
+    factor = splu((at.stiffness + shift * at.damping + diags_array(shift ** 2 * at.mass)).tocsc())
+
+    def inverse(state):
+        moved, speed = state[:n], state[n:]
+        first = -factor.solve(at.mass * (speed + shift * moved) + at.damping @ moved)
+        return np.concatenate([first, moved + shift * first])
+
+    return _slowest_first(shift + 1 / _largest(inverse, 2 * n, count))
+
+
+def step_map_eigenvalues(robot, count: int = 8) -> np.ndarray:
+    """ln(μ)/h of the slowest eigenvalues μ of one backward Euler step at rest, (count,) 1/s, slowest first.
 
     The step is linearized exactly: its force with the exact tangent, its matrix with the warped one,
 
@@ -27,14 +43,13 @@ def step_map_eigenvalues(robot: FiniteElementRobot, count: int = 8) -> np.ndarra
     Raises ValueError for a robot of another scheme.
     """
     structure, h = robot.structure, robot.timestep
-    mechanics, n = structure.mechanics, structure.sparsity.size
+    mechanics, n, positions = structure.mechanics, structure.sparsity.size, robot.positions
     if mechanics.law != "corotational":
         raise ValueError(f"the robot steps with the {mechanics.law} law; the step map of backward_euler is meant")
-    tangent = structure.tangent(robot.positions, robot.input_bounds[0])
-    warped = structure.sparsity.matrix(structure.warped_stiffness(robot.positions))
+    tangent = structure.tangent(positions, robot.input_bounds[0])
+    warped = structure.sparsity.matrix(structure.warped_stiffness(positions))
     lag = h + mechanics.stiffness_damping
-    matrix = (h * lag * warped + diags_array((1 + h * mechanics.mass_damping) * structure.mass)).tocsc()
-    factor = splu(matrix)
+    factor = splu((h * lag * warped + diags_array((1 + h * mechanics.mass_damping) * structure.mass)).tocsc())
 
     def step(state):
         moved, speed = state[:n], state[n:]
@@ -42,8 +57,15 @@ def step_map_eigenvalues(robot: FiniteElementRobot, count: int = 8) -> np.ndarra
         speed = speed - h * factor.solve(force)
         return np.concatenate([moved + h * speed, speed])
 
-    start = np.random.default_rng(0).standard_normal(2 * n)
-    found = eigs(LinearOperator((2 * n, 2 * n), step), count, which="LM", v0=start, ncv=max(60, 4 * count),
-                 return_eigenvectors=False)
-    rates = np.log(found) / h
+    return _slowest_first(np.log(_largest(step, 2 * n, count)) / h)
+
+
+def _largest(operator, size: int, count: int) -> np.ndarray:
+    """The eigenvalues of largest modulus, conjugates together; the same start gives the same digits."""
+    found = eigs(LinearOperator((size, size), operator), count, which="LM", v0=np.ones(size),
+                 ncv=min(size - 1, max(60, 4 * count)), return_eigenvectors=False)
+    return found.astype(np.complex128)
+
+
+def _slowest_first(rates: np.ndarray) -> np.ndarray:
     return rates[np.lexsort((rates.imag, np.abs(rates.imag), -rates.real))]

@@ -12,18 +12,20 @@ from ssmr_torch.plants.finite_element.cables import Cables
 from ssmr_torch.plants.finite_element.equilibrium import equilibrium
 from ssmr_torch.plants.finite_element.linear_solvers import linear_solver
 from ssmr_torch.plants.finite_element.mesh import TetrahedralMesh
+from ssmr_torch.plants.finite_element.modes import continuous_eigenvalues, step_map_eigenvalues
 from ssmr_torch.plants.finite_element.structure import Linearization, Mechanics, Structure
 from ssmr_torch.plants.finite_element.time_stepping import SCHEMES, DivergenceError, State
 
 AXES = ("x", "y", "z")
+SLOWEST = 12
 
 
 class FiniteElementRobot:
     """A clamped elastic body of tetrahedra that cables pull; a Plant.
 
     markers: name → a node's number, or a point (3,) m in the undeformed body, which stands for the node nearest to it;
-    the first is the tip, where the payload hangs; None leaves a marker out. The observation is their displacement from the rest of the nominal
-    robot (no payload, stiffness_scale 1): a loaded robot starts at its own rest, which is elsewhere.
+    the first is the tip, where the payload hangs; None leaves a marker out. The observation is their displacement from
+    the rest of the nominal robot (no payload, stiffness_scale 1): a loaded one starts at its own rest, elsewhere.
     input_bounds: (2,) or (2, m) N, the lowest zero or more, as cables only pull.
     scheme: "backward_euler" (the reference), "generalized_alpha" or "bdf2"; the last two need the neo-Hookean law.
     linear_solver: "block_ldl", "superlu" or "pardiso".
@@ -89,6 +91,17 @@ class FiniteElementRobot:
     def positions(self) -> np.ndarray:
         """(N, 3) m, where all nodes are now."""
         return self._state.positions.copy()
+
+    @property
+    def eigenvalues(self) -> np.ndarray:
+        """(12,) the slowest at rest, 1/s: of the step map, or in continuous time for the schemes of second order."""
+        state = self._state
+        self._state = self._resting(self._rest)
+        try:
+            exact = self.structure.mechanics.law == "neo_hookean"
+            return (continuous_eigenvalues if exact else step_map_eigenvalues)(self, SLOWEST)
+        finally:
+            self._state = state
 
     @property
     def resting(self) -> np.ndarray:
