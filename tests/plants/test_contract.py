@@ -1,31 +1,48 @@
 """What every plant promises, held against each of them."""
 
+from copy import deepcopy
+from functools import cache
+
 import numpy as np
 import pytest
 
 from ssmr_torch.plants.base import Plant
+from ssmr_torch.plants.diamond import Diamond
 from ssmr_torch.plants.rig import Rig
 from ssmr_torch.plants.slow_manifold import SlowManifold
+from ssmr_torch.plants.trunk import Trunk
 
+CONTINUUM = {"law": "neo_hookean", "mass_distribution": "volume"}
 IDEAL = {
     "slow manifold, markers": SlowManifold,
     "slow manifold, state": lambda: SlowManifold(observe="state", input_bounds=(0.2, 1.0)),
+    "trunk": lambda: Trunk("trunk_coarse"),
+    "trunk, generalized-alpha": lambda: Trunk("trunk_coarse", scheme="generalized_alpha", input_bounds=(0, 0.3),
+                                              **CONTINUUM),
+    "diamond": lambda: Diamond("diamond_coarse"),
+    "diamond, BDF2": lambda: Diamond("diamond_coarse", scheme="bdf2", **CONTINUUM),
 }
 PLANTS = IDEAL | {
     "slow manifold on a rig": lambda: Rig(
         SlowManifold(input_bounds=(0.1, 1.5)), noise_std=1e-4, sensor_delay=0.02, drop_probability=0.2,
         actuator_lag=0.03, rate_limit=20.0, saturation=1.2, cable_friction=0.1),
+    "diamond on a rig": lambda: Rig(Diamond("diamond_coarse"), noise_std=1e-4, sensor_delay=0.01, cable_friction=0.2),
 }
 
 
-@pytest.fixture(params=PLANTS.values(), ids=PLANTS.keys())
+@cache
+def built(name):
+    return PLANTS[name]()
+
+
+@pytest.fixture(params=PLANTS)
 def plant(request):
-    return request.param()
+    return deepcopy(built(request.param))
 
 
-@pytest.fixture(params=IDEAL.values(), ids=IDEAL.keys())
+@pytest.fixture(params=IDEAL)
 def ideal(request):
-    return request.param()
+    return deepcopy(built(request.param))
 
 
 def random_inputs(plant, count, seed=0):
