@@ -1,7 +1,7 @@
 """Time and memory of one sample of the finite-element plants: `python experiments/benchmarks/plant_step.py`.
 
-Each row is a process of its own on one thread: 300 steps under random tensions that change every 0.3 s, after 20 to warm
-up. A sample lasts 10 ms, so a plant below that can stand in for a robot in real time.
+Each row is a process of its own on one thread: 300 steps under random tensions that change every 0.3 s, after 20 to
+warm up. A sample lasts 10 ms, so a plant below that can stand in for a robot in real time.
 """
 
 from __future__ import annotations

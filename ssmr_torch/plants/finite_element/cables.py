@@ -27,6 +27,8 @@ class Cables:
         if len(paths) != len(self.anchors) or not all(len(path) for path in paths):
             raise ValueError(f"{len(self.anchors)} anchors and {len(paths)} lists of {[len(p) for p in paths]} "
                              "waypoints; expected a list of one point or more for each anchor")
+        if not (np.isfinite(self.anchors).all() and all(np.isfinite(path).all() for path in paths)):
+            raise ValueError("an anchor or a waypoint is not finite; expected points in m")
         for number, (anchor, path) in enumerate(zip(self.anchors, paths)):
             if (np.linalg.norm(np.diff(path, axis=0, prepend=anchor[None]), axis=1) < 1e-9).any():
                 raise ValueError(f"cable {number} has waypoints that coincide: {path.tolist()} from {anchor.tolist()}; "
@@ -37,12 +39,6 @@ class Cables:
     @property
     def count(self) -> int:
         return len(self.anchors)
-
-    @property
-    def couplings(self) -> np.ndarray:
-        """(S, 8) nodes that each stretch between two waypoints joins."""
-        inner = np.setdiff1d(np.arange(len(self.nodes)), self.starts[:-1])
-        return np.concatenate([self.nodes[inner - 1], self.nodes[inner]], axis=1)
 
     def points(self, positions: np.ndarray) -> np.ndarray:
         """(Σ K_i, 3) m, where the waypoints are now."""

@@ -39,6 +39,11 @@ class TetrahedralMesh:
         return np.linalg.det(_edges(self)) / 6
 
     @property
+    def size(self) -> float:
+        """The longest side of the box around the body, m."""
+        return float(np.ptp(self.nodes, axis=0).max())
+
+    @property
     def shape_gradients(self) -> np.ndarray:
         """(E, 4, 3) gradients of the linear shape functions, 1/m."""
         last = np.linalg.inv(_edges(self)).transpose(0, 2, 1)
@@ -107,8 +112,7 @@ def _validate(mesh: TetrahedralMesh) -> None:
     if len(orphans):
         raise ValueError(f"{len(orphans)} of {len(nodes)} nodes belong to no tetrahedron, the first is node "
                          f"{orphans[0]}; remove them from the mesh")
-    size = np.ptp(nodes, axis=0).max()
-    flat = np.flatnonzero(mesh.volumes <= 1e-12 * size ** 3)
+    flat = np.flatnonzero(mesh.volumes <= 1e-12 * mesh.size ** 3)
     if len(flat):
         raise ValueError(f"{len(flat)} of {len(tetrahedra)} tetrahedra are inverted or flat, the first is number "
                          f"{flat[0]} with a volume of {mesh.volumes[flat[0]]:.3g} m³; repair the mesh, or swap two "

@@ -30,7 +30,7 @@ def read_mesh(path: str | Path, length_unit: str = "mm") -> TetrahedralMesh:
                                 f"{sorted(file.stem for file in OWN_MESHES.glob('*.vtu'))}")
     try:
         mesh = meshio.read(path)
-    except (meshio.ReadError, SystemExit) as error:
+    except (Exception, SystemExit) as error:  # meshio's readers raise whatever a foreign file leads them to
         raise ValueError(f"{path} cannot be read as a mesh ({error}); expected a format that meshio knows, "
                          "such as .vtu, .vtk or .msh") from error
     found = [block.data for block in mesh.cells if block.type == "tetra"]

@@ -50,6 +50,7 @@ class FiniteElementRobot:
             raise ValueError(f"scheme {scheme!r} with law {mechanics.law!r}: the corotational law has no exact tangent "
                              "for Newton's method, and one linear solve per step limit-cycles with the neo-Hookean; "
                              "use backward_euler with corotational, generalized_alpha or bdf2 with neo_hookean")
+        _refuse_loose(mesh, clamped)
         self.name, self.timestep = name, float(timestep)
         self.markers = {marker: _node(mesh, marker, place) for marker, place in markers.items() if place is not None}
         if not self.markers:
@@ -121,7 +122,8 @@ class FiniteElementRobot:
     @property
     def undeformed(self) -> np.ndarray:
         """The state of the mesh as it was read, without motion."""
-        start = self._resting(self.structure.mesh.nodes)
+        nodes, still = self.structure.mesh.nodes, np.zeros(self.structure.sparsity.size)
+        start = self._scheme.start(self.structure, nodes, still, self.input_bounds[0], self.timestep)
         return np.concatenate([start.positions.ravel(), start.velocities, start.memory.ravel()])
 
     def reset(self, seed: int | None = None, state: np.ndarray | None = None) -> np.ndarray:
@@ -151,6 +153,8 @@ class FiniteElementRobot:
         """Mass, damping, stiffness and input matrices at a state (default: now) and tensions (default: lowest)."""
         positions = (self._state if state is None else self._unpacked(state)).positions
         tensions = self.input_bounds[0] if input is None else finite_vector(input, len(self.input_names), "input")
+        if (tensions < 0).any():
+            raise ValueError(f"tensions are {tensions.tolist()} N; expected 0 or more, cables only pull")
         return self.structure.linearization(positions, tensions)
 
     @property
@@ -172,10 +176,16 @@ class FiniteElementRobot:
         shape, size, rows = self._rest.shape, self.structure.sparsity.size, self._scheme.memory_rows
         vector = finite_vector(state, self._rest.size + (1 + rows) * size, "state")
         positions, velocities, memory = np.split(vector, [self._rest.size, self._rest.size + size])
-        return State(positions.reshape(shape), velocities, memory.reshape(rows, size))
+        found = State(positions.reshape(shape), velocities, memory.reshape(rows, size))
+        clamped = self.structure.sparsity.number < 0
+        moved = np.abs(found.positions - self.structure.mesh.nodes)[clamped].max()
+        if moved:
+            raise ValueError(f"state has clamped nodes up to {moved:.3g} m off their place; expected them in it: give "
+                             "a state that this robot returned")
+        return found
 
     def _refuse_divergence(self, found: State, tensions: np.ndarray) -> None:
-        size = np.ptp(self.structure.mesh.nodes, axis=0).max()
+        size = self.structure.mesh.size
         farthest = np.abs(found.positions - self._rest).max()
         if not (np.isfinite(found.velocities).all() and farthest <= self.FARTHEST * size):
             raise DivergenceError(f"{self.name} diverged under the tensions {tensions.tolist()} N: a node moved "
@@ -187,12 +197,23 @@ def plain(value):
     """A constructor's argument as JSON has it."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
-    return value if np.ndim(value) == 0 else np.asarray(value).tolist()
+    return value if isinstance(value, str) or value is None else np.asarray(value).tolist()
 
 
 def _node(mesh: TetrahedralMesh, marker: str, place: int | Sequence[float]) -> int:
     if np.ndim(place) == 0:
-        if int(place) != place or not 0 <= place < len(mesh.nodes):
-            raise ValueError(f"marker {marker!r} is node {place}; the mesh has the nodes 0 to {len(mesh.nodes) - 1}")
+        whole = isinstance(place, (int, np.integer)) and not isinstance(place, bool)
+        if not (whole and 0 <= place < len(mesh.nodes)):
+            raise ValueError(f"marker {marker!r} is {place!r}; expected a node's number from 0 to "
+                             f"{len(mesh.nodes) - 1}, or a point, three numbers in m")
         return int(place)
     return mesh.nearest_node(finite_vector(place, 3, f"marker {marker!r}"))
+
+
+def _refuse_loose(mesh: TetrahedralMesh, clamped: np.ndarray) -> None:
+    """Fewer than three nodes, or three in a line, let the body turn."""
+    offsets = mesh.nodes[clamped] - mesh.nodes[clamped].mean(axis=0)
+    if np.linalg.matrix_rank(offsets, tol=1e-6 * mesh.size) < 2:
+        raise ValueError(f"{len(clamped)} nodes of a body of {mesh.size:.3g} m are clamped, all in a line, so that it "
+                         "can turn; expected three at least that span a plane: check the unit of the mesh and the "
+                         "place of the clamp")

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csc_array
 
+from ssmr_torch.plants.base import finite_vector
 from ssmr_torch.plants.finite_element import elements
 from ssmr_torch.plants.finite_element.cables import Cables
 from ssmr_torch.plants.finite_element.mesh import TetrahedralMesh
@@ -41,7 +42,7 @@ class Mechanics:
     stiffness_scale: float = 1.0
 
     def __post_init__(self):
-        object.__setattr__(self, "gravity", tuple(float(g) for g in self.gravity))
+        object.__setattr__(self, "gravity", tuple(finite_vector(self.gravity, 3, "gravity (m/s²)").tolist()))
         elements.lame_parameters(self.young * self.stiffness_scale, self.poisson)
         if not (0 < self.mass < np.inf and 0 <= self.payload < np.inf):
             raise ValueError(f"mass is {self.mass} kg and payload {self.payload} kg; expected a positive mass and "
@@ -107,6 +108,16 @@ class Structure:
         self.nodal_mass[tip] += mechanics.payload
         self.mass = np.repeat(self.nodal_mass[self.sparsity.order], 3)
         self._weight = self.nodal_mass[:, None] * np.asarray(mechanics.gravity, dtype=np.float64)
+
+    @property
+    def weight(self) -> float:
+        """‖M g‖ of the free nodes, N, the scale of tolerances."""
+        return float(np.linalg.norm(self._weight[self.sparsity.order]))
+
+    @property
+    def rounding(self) -> float:
+        """What rounding leaves of forces that balance, N: some 10⁻¹⁵ E size²."""
+        return 1e-15 * self.mechanics.young * self.mechanics.stiffness_scale * self.mesh.size ** 2
 
     def forces(self, positions: np.ndarray, tensions: np.ndarray, stiffness: np.ndarray | None = None) -> np.ndarray:
         """M g + H(q) u − f(q), (n,) N. Adds the law's tangent, and −∂(H u)/∂q for an exact law, to `stiffness`."""
