@@ -4,12 +4,14 @@ import csv
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from ssmr_torch import artifact
 from ssmr_torch.closed_loop import ClosedLoopRecord
+from ssmr_torch.trajectory import TrajectoryDataset
 
 EXPERIMENTS = Path(__file__).resolve().parents[1] / "experiments"
 SMALL = ["excitation.decays.count=20", "excitation.validation_decays=1", "excitation.test_decays=1",
@@ -42,6 +44,53 @@ def line(tmp_path_factory):
         cwd=at)
     run("report", "directory=.", "hydra.run.dir=report", cwd=at)
     return at
+
+
+TRUNK = ["plant=trunk_coarse", "rig.noise_std=1e-5"]
+
+
+@pytest.fixture(scope="module")
+def trunk_line(tmp_path_factory):
+    """The same on the finite-element trunk, with an interruption after the first kept trajectories."""
+    at = tmp_path_factory.mktemp("trunk")
+    short = ["excitation=trunk", "excitation.decays=8", "excitation.validation_decays=0", "excitation.test_decays=1",
+             "excitation.decay_duration=1.5", "excitation.progress=false", "hydra.run.dir=collect"]
+    process = subprocess.Popen([sys.executable, str(EXPERIMENTS / "collect.py"), *TRUNK, *short], cwd=at,
+                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while process.poll() is None and len(list(at.glob("collect/recorded/*.h5"))) < 2:
+        time.sleep(0.05)
+    process.kill()
+    process.wait()
+    kept = {path: path.stat().st_mtime_ns for path in at.glob("collect/recorded/*.h5")}
+    run("collect", *TRUNK, *short, cwd=at)
+    run("train", "experiment=trunk", "model=sssr", "data.path=collect/trajectories.h5", *QUIET, "hydra.run.dir=train",
+        cwd=at)
+    run("export", "checkpoint=train/model.ckpt", "artifact=artifact", "hydra.run.dir=export", cwd=at)
+    run("control", *TRUNK, "artifact=artifact", "controller=scp_trunk", "task=letter", "task.duration=4.0",
+        "task.half_size=0.008", "progress=false", "animate=true", "hydra.run.dir=control", cwd=at)
+    run("report", "directory=.", "hydra.run.dir=report", cwd=at)
+    return at, kept
+
+
+@pytest.mark.slow
+def test_a_killed_collection_goes_on_where_it_was_and_leaves_one_file(trunk_line):
+    at, kept = trunk_line
+    assert len(kept) >= 2 and not list(at.glob("collect/recorded/*"))
+    dataset = TrajectoryDataset.load(at / "collect" / "trajectories.h5")
+    assert len(dataset.select(kind="decay")) == 9 and dataset.timestep == pytest.approx(0.01)
+    assert dataset.provenance["plant"]["origin"]["nodes"] == 457
+    slowest = complex(*dataset.provenance["eigenvalues"][0])
+    assert -2 < slowest.real < -1 and 9 < abs(slowest.imag) < 12
+
+
+@pytest.mark.slow
+def test_the_trunk_writes_a_letter_and_the_report_shows_it(trunk_line):
+    at, _ = trunk_line
+    metrics = json.loads((at / "control" / "metrics.json").read_text())
+    assert metrics["rmse"] < 0.8e-3 and metrics["fallbacks"] == 0
+    assert (at / "control" / "robot.gif").read_bytes().startswith(b"GIF")
+    page = (at / "report.html").read_text()
+    assert "tip&#39;s path so far" in page and "stiffness_scale" in page
 
 
 @pytest.mark.slow
@@ -136,6 +185,11 @@ def test_two_processes_started_by_the_entry_point_give_the_scores_of_one(line):
     ("train", ["data.path=collect/trajectories.h5", "model.chart_degree=2"], "set detection_delays above"),
     ("control", ["artifact=export/0/artifact", "task.tracked=[nose]"], "tracks 'nose'"),
     ("report", ["directory=collect"], "nothing to report below"),
+    ("collect", ["plant=trunk", "plant.mesh=elephant"], "no mesh file at elephant; the package's own are"),
+    ("collect", ["plant=trunk", "plant.length_unit=m"], "check the unit of the mesh"),
+    ("collect", ["plant=trunk_coarse", "plant.scheme=bdf2"], "the corotational law has no exact tangent"),
+    ("collect", ["plant=trunk_coarse", "rig.sensor_delay=0.015"], "expected a whole multiple"),
+    ("collect", ["plant=trunk_coarse", "plant.young=-1"], "expected a positive modulus"),
 ])
 def test_bad_input_ends_in_one_clear_message_before_any_work(line, script, arguments, message):
     done = start(script, *arguments, f"hydra.run.dir=refused-{script}", *(QUIET if script == "train" else []), cwd=line)
