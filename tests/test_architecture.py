@@ -34,6 +34,9 @@ def importers(*libraries: str) -> set[str]:
     (("proxsuite", "qpsolvers"), {"control/qp.py"}),
     (("matplotlib",), {"evaluation/figures.py", "evaluation/robot_figures.py"}),
     (("jinja2",), {"evaluation/report.py"}),
+    (("meshio",), {"plants/finite_element/mesh_files.py"}),
+    (("fontTools",), {"tasks/symbols.py"}),
+    (("gmsh", "skfem"), set()),
     (("hydra", "omegaconf", "wandb"), set()),
     (("pickle", "joblib", "dill"), set()),
 ])
@@ -123,4 +126,5 @@ def test_the_package_imports_without_any_heavy_dependency():
 def test_control_from_an_artifact_needs_neither_torch_nor_lightning_nor_hydra_nor_wandb_nor_matplotlib():
     assert not failure_without("torch", "lightning", "hydra", "omegaconf", "wandb", "matplotlib",
                                code="import ssmr_torch.artifact, ssmr_torch.control.mpc, ssmr_torch.closed_loop, "
-                                    "ssmr_torch.plants.slow_manifold, ssmr_torch.tasks.references")
+                                    "ssmr_torch.plants.slow_manifold, ssmr_torch.plants.trunk, ssmr_torch.plants.rig, "
+                                    "ssmr_torch.tasks.references")

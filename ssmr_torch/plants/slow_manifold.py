@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
-from ssmr_torch.plants.base import finite_vector
+from ssmr_torch.plants.base import finite_vector, input_range
 
 SLOW_DIM, FAST_DIM, CABLES = 6, 4, 4
 
@@ -126,7 +126,7 @@ class SlowManifold:
                              f"substeps {substeps} must be positive")
         self.observe, self.timestep, self.substeps = observe, float(timestep), int(substeps)
         self.fast_rate_scale, self.fast_input_gain = float(fast_rate_scale), float(fast_input_gain)
-        self.input_bounds = _bounds(input_bounds)
+        self.input_bounds = input_range(input_bounds, CABLES, self.input_unit)
         self.output_names = MARKER_NAMES if observe == "markers" else STATE_NAMES
         self.output_matrix = _output_matrix(observe)
         self.rest = MARKER_REST.copy() if observe == "markers" else np.zeros(len(STATE_NAMES))
@@ -271,18 +271,6 @@ def _components(vectors: np.ndarray) -> np.ndarray:
 
 def _apply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return (matrix @ vector[..., None])[..., 0]
-
-
-def _bounds(bounds: Sequence) -> np.ndarray:
-    array = np.array(bounds, dtype=np.float64)
-    if array.shape not in ((2,), (2, CABLES)):
-        raise ValueError(f"input_bounds has shape {array.shape}; expected (2,) or (2, {CABLES}), "
-                         "lowest and highest force in N")
-    array = np.array(np.broadcast_to(array.reshape(2, -1), (2, CABLES)))
-    if not (np.isfinite(array).all() and (array[0] < array[1]).all()):
-        raise ValueError(f"input_bounds are {array.tolist()} N; expected finite numbers, "
-                         "the lowest below the highest")
-    return array
 
 
 def _output_matrix(observe: str) -> np.ndarray:
