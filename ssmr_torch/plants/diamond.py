@@ -16,22 +16,23 @@ SILICONE = Mechanics(young=175e3, poisson=0.45, mass=0.45, mass_damping=2.5, sti
                      gravity=(0.0, 0.0, -9.81))
 CLAMP = (-0.015, -0.015, -0.040), (0.015, 0.015, 0.010)  # m
 # The authors' tip node lies at (-4.8, 1.6, 125.4) mm, ours at (0, 0, 125.7): this point is nearest to either.
-MARKERS = MappingProxyType({"tip": (-0.0035, 0.001, 0.1255), "elbow_+y": (0.0, 0.097, 0.046),
-                            "elbow_-x": (-0.097, 0.0, 0.046), "elbow_-y": (0.0, -0.097, 0.046),
-                            "elbow_+x": (0.097, 0.0, 0.046)})
+MARKERS = MappingProxyType({"tip": (-0.0035, 0.001, 0.1255), "elbow1": (0.0, 0.097, 0.046),
+                            "elbow2": (-0.097, 0.0, 0.046), "elbow3": (0.0, -0.097, 0.046),
+                            "elbow4": (0.097, 0.0, 0.046)})
 # Mesh files stand on the side: the robot's z is their y.
 ROTATION = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 RAISED = (0.0, 0.0, 0.035)  # m
 ATTACHMENTS = np.array([[0.0, 0.097, 0.045], [-0.097, 0.0, 0.045], [0.0, -0.097, 0.045], [0.097, 0.0, 0.045]])  # m
 ANCHORS = np.array([[0.0, 0.010, 0.030], [-0.010, 0.0, 0.030], [0.0, -0.010, 0.030], [0.010, 0.0, 0.030]])  # m
-INPUTS = ("elbow_+y", "elbow_-x", "elbow_-y", "elbow_+x")
+INPUTS = ("cable1", "cable2", "cable3", "cable4")
 
 
 class Diamond(FiniteElementRobot):
     """A frame of silicone, 200 mm wide and 160 mm high, standing on its clamped base (paper, Fig. 2).
 
     mesh: of this package, or a file in the orientation of the authors'.   length_unit: of the file.
-    input: tensions of the cables from the elbows at +y, −x, −y, +x to points in space at the base, N.
+    Elbows and their cables count from +y over −x and −y to +x; the cables end at points in space above the base.
+    input: their tensions, N.
     mechanics: changes of `SILICONE` by name.   The rest is as in `FiniteElementRobot`.
     """
 
