@@ -1,4 +1,4 @@
-"""Linear modes of a `FiniteElementRobot` where it is now: frequencies, eigenvalues in continuous time and of a step."""
+"""Linear modes of a `FiniteElementRobot` at its rest: frequencies, eigenvalues in continuous time and of a step."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.sparse.linalg import LinearOperator, eigs, eigsh, splu
 def undamped_frequencies(robot, count: int = 5) -> np.ndarray:
     """The lowest ω of K_w φ = ω² M φ, (count,) rad/s, K_w the warped stiffness."""
     structure = robot.structure
-    stiffness = structure.sparsity.matrix(structure.warped_stiffness(robot.positions))
+    stiffness = structure.sparsity.matrix(structure.warped_stiffness(robot.resting))
     squares = eigsh(stiffness, count, M=diags_array(structure.mass).tocsc(), sigma=0.0, return_eigenvectors=False,
                     v0=np.ones(structure.sparsity.size))
     return np.sqrt(np.sort(squares))
@@ -22,7 +22,8 @@ def continuous_eigenvalues(robot, count: int = 8) -> np.ndarray:
     Those nearest to the lowest undamped frequency σ > 0: about the origin, the rates that gather at −1/β would come
     before slow oscillations.
     """
-    at, n, shift = robot.linearization(), robot.structure.sparsity.size, undamped_frequencies(robot, 1)[0]
+    structure, shift = robot.structure, undamped_frequencies(robot, 1)[0]
+    at, n = structure.linearization(robot.resting, robot.input_bounds[0]), structure.sparsity.size
     factor = splu((at.stiffness + shift * at.damping + diags_array(shift ** 2 * at.mass)).tocsc())
 
     def inverse(state):
@@ -43,7 +44,7 @@ def step_map_eigenvalues(robot, count: int = 8) -> np.ndarray:
     Raises ValueError for a robot of another scheme.
     """
     structure, h = robot.structure, robot.timestep
-    mechanics, n, positions = structure.mechanics, structure.sparsity.size, robot.positions
+    mechanics, n, positions = structure.mechanics, structure.sparsity.size, robot.resting
     if mechanics.law != "corotational":
         raise ValueError(f"the robot steps with the {mechanics.law} law; the step map of backward_euler is meant")
     tangent = structure.tangent(positions, robot.input_bounds[0])

@@ -47,9 +47,10 @@ class FiniteElementRobot:
         if scheme not in SCHEMES:
             raise ValueError(f"scheme is {scheme!r}; expected one of {tuple(SCHEMES)}")
         if (scheme == "backward_euler") != (mechanics.law == "corotational"):
-            raise ValueError(f"scheme {scheme!r} with law {mechanics.law!r}: the corotational law has no exact tangent "
-                             "for Newton's method, and one linear solve per step limit-cycles with the neo-Hookean; "
-                             "use backward_euler with corotational, generalized_alpha or bdf2 with neo_hookean")
+            raise ValueError(f"scheme {scheme!r} with law {mechanics.law!r}: with the warped stiffness of the "
+                             "corotational law Newton's method takes some twenty iterations, and one linear solve per "
+                             "step limit-cycles with the neo-Hookean law; use backward_euler with corotational, "
+                             "generalized_alpha or bdf2 with neo_hookean")
         _refuse_loose(mesh, clamped)
         self.name, self.timestep = name, float(timestep)
         self.markers = {marker: _node(mesh, marker, place) for marker, place in markers.items() if place is not None}
@@ -96,13 +97,8 @@ class FiniteElementRobot:
     @property
     def eigenvalues(self) -> np.ndarray:
         """(12,) the slowest at rest, 1/s: of the step map, or in continuous time for the schemes of second order."""
-        state = self._state
-        self._state = self._resting(self._rest)
-        try:
-            exact = self.structure.mechanics.law == "neo_hookean"
-            return (continuous_eigenvalues if exact else step_map_eigenvalues)(self, SLOWEST)
-        finally:
-            self._state = state
+        exact = self.structure.mechanics.law == "neo_hookean"
+        return (continuous_eigenvalues if exact else step_map_eigenvalues)(self, SLOWEST)
 
     @property
     def resting(self) -> np.ndarray:

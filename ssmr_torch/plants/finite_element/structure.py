@@ -99,7 +99,7 @@ class Structure:
         exact = mechanics.law == "neo_hookean"
         groups = [mesh.tetrahedra, cables.stretches] if exact else [mesh.tetrahedra]
         self.sparsity = Sparsity(len(mesh.nodes), groups, clamped)
-        self._places, self._strides = self.sparsity.places(mesh.tetrahedra)
+        self._places = self.sparsity.places(mesh.tetrahedra)
         self._cable_places = self.sparsity.places(cables.stretches) if exact else None
         self._gradients, self._volumes = mesh.shape_gradients, mesh.volumes
         self._rest_frames = elements.rest_frames(mesh.nodes, mesh.tetrahedra)
@@ -159,14 +159,13 @@ class Structure:
 
     def tangent(self, positions: np.ndarray, tensions: np.ndarray) -> csc_array:
         """∂(f(q) − H(q) u)/∂q, (n, n) N/m, exact: with the cables and, for the corotational law, unsymmetric."""
-        mesh, sparsity = self.mesh, self._coupled
-        places, data = sparsity.places(mesh.tetrahedra), np.zeros(len(sparsity.indices))
-        elements.assemble(self.law, positions, mesh.tetrahedra, self._gradients, self._volumes, self._rest_frames,
-                          *self._lame, np.zeros_like(positions), *places, data)
+        sparsity, places, cable_places = self._coupled
+        data = np.zeros(len(sparsity.indices))
+        self._assemble(self.law, positions, np.zeros_like(positions), data, places)
         if self.law == elements.COROTATIONAL:
-            elements.add_frame_stiffness(positions, mesh.tetrahedra, self._gradients, self._volumes,
+            elements.add_frame_stiffness(positions, self.mesh.tetrahedra, self._gradients, self._volumes,
                                          self._rest_frames, *self._lame, *places, data)
-        self.cables.add_stiffness(positions, tensions, *sparsity.places(self.cables.stretches), data)
+        self.cables.add_stiffness(positions, tensions, *cable_places, data)
         return sparsity.matrix(data)
 
     def linearization(self, positions: np.ndarray, tensions: np.ndarray) -> Linearization:
@@ -178,14 +177,18 @@ class Structure:
                              self.forces(positions, tensions), self.sparsity.order.copy())
 
     @cached_property
-    def _coupled(self) -> Sparsity:
-        """The pattern with what cables couple, in the same order."""
-        return Sparsity(len(self.mesh.nodes), [self.mesh.tetrahedra, self.cables.stretches],
-                        np.flatnonzero(self.sparsity.number < 0), self.sparsity.order)
+    def _coupled(self) -> tuple[Sparsity, tuple, tuple]:
+        """The pattern with what cables couple, in the same order, and the places of tetrahedra and stretches in it."""
+        if self._cable_places is not None:
+            return self.sparsity, self._places, self._cable_places
+        sparsity = Sparsity(len(self.mesh.nodes), [self.mesh.tetrahedra, self.cables.stretches],
+                            np.flatnonzero(self.sparsity.number < 0), self.sparsity.order)
+        return sparsity, sparsity.places(self.mesh.tetrahedra), sparsity.places(self.cables.stretches)
 
-    def _assemble(self, law: int, positions: np.ndarray, force: np.ndarray, data: np.ndarray) -> None:
+    def _assemble(self, law: int, positions: np.ndarray, force: np.ndarray, data: np.ndarray,
+                  places: tuple | None = None) -> None:
         elements.assemble(law, positions, self.mesh.tetrahedra, self._gradients, self._volumes, self._rest_frames,
-                          *self._lame, force, self._places, self._strides, data)
+                          *self._lame, force, *(places or self._places), data)
 
 
 def _nodal_mass(mesh: TetrahedralMesh, mechanics: Mechanics) -> np.ndarray:
