@@ -26,7 +26,7 @@ sys.path.insert(0, {here!r})
 from fragile_plants import FragilePlant, small
 
 if __name__ == "__main__":
-    small(FragilePlant({log!r}, delay=0.005), workers={workers}, directory={directory!r})
+    small(FragilePlant({log!r}, delay=0.03), workers={workers}, directory={directory!r})
 """
 
 
