@@ -13,30 +13,30 @@ import hashlib
 import json
 import os
 import shutil
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from safetensors.numpy import load_file, save_file
 
 from ssmr_torch.models.polynomial_tables import PolynomialTables
+from ssmr_torch.models.tables import ModelTables
 
-FORMAT = "ssmr_torch artifact 1"
+KINDS: dict[str, type[ModelTables]] = {"polynomial": PolynomialTables}
+FORMAT = "ssmr_torch artifact 2"
 REPLAY_TOLERANCE = 1e-9
-_TABLES = tuple(field.name for field in fields(PolynomialTables) if field.type == "np.ndarray")
 _HASHED = ("tables.safetensors", "reference.safetensors")
-_SCALARS = tuple(field.name for field in fields(PolynomialTables) if field.type != "np.ndarray")
 
 
 @dataclass(frozen=True)
 class Artifact:
     """A loaded model and its card."""
 
-    model: PolynomialTables
+    model: ModelTables
     card: dict
 
 
-def save(directory: str | Path, model: PolynomialTables, *, output_names, input_names, rest, input_range,
+def save(directory: str | Path, model: ModelTables, *, output_names, input_names, rest, input_range,
          input_unit: str = "N", name: str = "SSMR", provenance: dict | None = None,
          scores: dict | None = None) -> Path:
     """Write the artifact aside and move it into place; an artifact already there is replaced whole.
@@ -49,8 +49,9 @@ def save(directory: str | Path, model: PolynomialTables, *, output_names, input_
     rest, bounds = np.asarray(rest, dtype=np.float64), np.asarray(input_range, dtype=np.float64)
     _validate(model, output_names, input_names, rest, bounds)
     _refuse_foreign(directory)
-    card = {"format": FORMAT, "kind": "polynomial", "name": name,
-            "model": {scalar: getattr(model, scalar) for scalar in _SCALARS} | {"state_dim": model.state_dim},
+    card = {"format": FORMAT, "kind": _kind_of(model), "name": name,
+            "model": {scalar: getattr(model, scalar) for scalar in model.scalar_names()}
+            | {"state_dim": model.state_dim},
             "units": {"length": "m", "time": "s", "input": input_unit},
             "output_names": list(output_names), "input_names": list(input_names), "rest": rest.tolist(),
             "input_range": bounds.tolist(), "provenance": provenance or {},
@@ -58,7 +59,8 @@ def save(directory: str | Path, model: PolynomialTables, *, output_names, input_
     aside = directory.with_name(directory.name + ".part")
     shutil.rmtree(aside, ignore_errors=True)
     aside.mkdir(parents=True)
-    save_file({table: np.ascontiguousarray(getattr(model, table)) for table in _TABLES}, aside / "tables.safetensors")
+    save_file({table: np.ascontiguousarray(getattr(model, table)) for table in model.array_names()},
+              aside / "tables.safetensors")
     reference = _reference_inputs(model, bounds)
     save_file(reference | _predict(model, reference), aside / "reference.safetensors")
     card["sha256"] = {name: hashlib.sha256((aside / name).read_bytes()).hexdigest() for name in _HASHED}
@@ -82,21 +84,22 @@ def load(directory: str | Path) -> Artifact:
         raise ValueError(f"{directory / 'card.json'} is not valid JSON ({error}); export the model again") from error
     if not isinstance(card, dict) or not {"format", "kind", "model", "sha256"} <= card.keys():
         raise ValueError(f"{directory / 'card.json'} is not the card of an artifact; export the model again")
-    if card["format"] != FORMAT or card["kind"] != "polynomial":
+    if card["format"] != FORMAT or card["kind"] not in KINDS:
         raise ValueError(f"{directory} has format {card['format']!r} and kind {card['kind']!r}; "
-                         f"this version reads {FORMAT!r} of kind 'polynomial'")
+                         f"this version reads {FORMAT!r} of the kinds {sorted(KINDS)}")
     for path in (directory / name for name in _HASHED):
         if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != card["sha256"].get(path.name):
             raise ValueError(f"{path} is missing or differs from what the card records; export the model again")
-    model = PolynomialTables(**load_file(directory / "tables.safetensors"),
-                             **{scalar: card["model"][scalar] for scalar in _SCALARS})
+    kind = KINDS[card["kind"]]
+    model = kind(**load_file(directory / "tables.safetensors"),
+                 **{scalar: card["model"][scalar] for scalar in kind.scalar_names()})
     _replay(directory, model)
     return Artifact(model, card)
 
 
-def by_name(artifacts: list[Artifact]) -> dict[str, PolynomialTables]:
+def by_name(artifacts: list[Artifact]) -> dict[str, ModelTables]:
     """Models by the name on their card; a repeated name is numbered."""
-    models: dict[str, PolynomialTables] = {}
+    models: dict[str, ModelTables] = {}
     for loaded in artifacts:
         name, number = loaded.card["name"], 2
         while name in models:
@@ -124,7 +127,7 @@ def check_source(loaded: Artifact, source) -> None:
                              "use the plant or data that it was trained on, or train again")
 
 
-def _validate(model: PolynomialTables, output_names, input_names, rest: np.ndarray, bounds: np.ndarray) -> None:
+def _validate(model: ModelTables, output_names, input_names, rest: np.ndarray, bounds: np.ndarray) -> None:
     p, m = model.output_dim, model.input_dim
     if len(output_names) != p or rest.shape != (p,):
         raise ValueError(f"{len(output_names)} output names and a rest of shape {rest.shape} for a model of "
@@ -132,7 +135,7 @@ def _validate(model: PolynomialTables, output_names, input_names, rest: np.ndarr
     if len(input_names) != m or bounds.shape != (2, m) or (bounds[0] >= bounds[1]).any():
         raise ValueError(f"{len(input_names)} input names and bounds of shape {bounds.shape} for a model of "
                          f"{m} inputs; expected (2, m) with the lower below the upper")
-    for table in _TABLES:
+    for table in model.array_names():
         if not np.isfinite(getattr(model, table)).all():
             raise ValueError(f"the table {table} is not finite; fit the model before saving it")
 
@@ -147,26 +150,33 @@ def _refuse_foreign(directory: Path) -> None:
                          "choose another directory")
 
 
-def _reference_inputs(model: PolynomialTables, bounds: np.ndarray) -> dict[str, np.ndarray]:
+def _kind_of(model: ModelTables) -> str:
+    return next(kind for kind, tables in KINDS.items() if type(model) is tables)
+
+
+def _reference_inputs(model: ModelTables, bounds: np.ndarray) -> dict[str, np.ndarray]:
+    """Seeded states, inputs, and windows that hold outputs of such states."""
     rng = np.random.default_rng(0)
     states = 0.5 * model.state_scale * rng.uniform(-1, 1, (16, model.state_dim))
-    inputs = bounds[0] + (bounds[1] - bounds[0]) * rng.uniform(0, 1, (16, model.input_dim))
-    windows = np.stack([model.parametrization_monomials(z) @ model.parametrization.T for z in states])
-    return {"state": states, "input": inputs, "window": windows.reshape(16, model.delays + 1, model.output_dim)}
+    inputs = bounds[0] + (bounds[1] - bounds[0]) * rng.uniform(0, 1, (model.delays + 1, 16, model.input_dim))
+    windows = model.decode(0.5 * model.state_scale * rng.uniform(-1, 1, (16, model.delays + 1, model.state_dim)))
+    return {"state": states, "input": inputs[0], "window": windows,
+            "window_input": np.ascontiguousarray(inputs[1:].swapaxes(0, 1))}
 
 
-def _predict(model: PolynomialTables, reference: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _predict(model: ModelTables, reference: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     z, u, window = reference["state"], reference["input"], reference["window"]
     A, B, c = model.linearize(z, u)
-    return {"encoded": model.encode(window, np.zeros((len(z), model.delays, model.input_dim))),
-            "decoded": model.decode(z), "following": model.step(z, u), "A": A, "B": B, "c": c}
+    C, d = model.linearize_output(z)
+    return {"encoded": model.encode(window, reference["window_input"]), "decoded": model.decode(z),
+            "following": model.step(z, u), "A": A, "B": B, "c": c, "C": C, "d": d}
 
 
-def _replay(directory: Path, model: PolynomialTables) -> None:
+def _replay(directory: Path, model: ModelTables) -> None:
     recorded = load_file(directory / "reference.safetensors")
     for name, values in _predict(model, recorded).items():
-        # c is what remains of the following state, and mere rounding of it where the model is linear
-        size = np.abs(recorded["following" if name == "c" else name]).max()
+        # c and d are what remains of a state or an output, and mere rounding of it where the model is linear
+        size = np.abs(recorded[{"c": "following", "d": "decoded"}.get(name, name)]).max()
         error = np.abs(values - recorded[name]).max() / max(size, 1e-300)
         if not error <= REPLAY_TOLERANCE:
             raise ValueError(f"{directory} no longer reproduces its reference: {name} differs by {error:.3g} relative, "

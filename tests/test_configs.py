@@ -35,10 +35,6 @@ def configurations():
         yield
 
 
-def model(state_dim=6, **_):
-    return SSMR(state_dim, 4, 3, 1)
-
-
 @pytest.mark.parametrize("name", PRIMARY)
 def test_every_entry_point_has_a_configuration_that_composes(name):
     config = compose(name, return_hydra_config=True)
@@ -83,13 +79,43 @@ def test_every_model_builds_on_any_number_of_outputs_and_inputs(choice):
     assert built.input_dim == 5 and built.output_dim == 4 and built.timestep == 0.01
 
 
-@pytest.mark.parametrize("fit", group("fit"))
 @pytest.mark.parametrize("derivative", group("derivative"))
-def test_every_fit_takes_every_derivative(fit, derivative):
-    config = compose("train", [f"fit={fit}", f"derivative@fit.closed_form.derivative={derivative}"])
-    for build in config.fit.values():
-        assert isinstance(instantiate(build)(model()), ModelFit)
-    assert isinstance(instantiate(config.fit.closed_form.derivative), Stencil)
+def test_every_derivative_is_a_stencil(derivative):
+    assert isinstance(instantiate(compose("train", [f"derivative={derivative}"]).derivative), Stencil)
+
+
+def builds(*overrides):
+    """The model of a configuration with every one of its fits built around it."""
+    config = compose("train", list(overrides))
+    built = instantiate(config.model)(state_dim=config.model.get("state_dim", 6), input_dim=4, output_dim=9,
+                                      timestep=0.01)
+    for fit in config.fit.values():
+        assert isinstance(instantiate(fit)(built), ModelFit)
+    return config
+
+
+@pytest.mark.parametrize("choice", group("model"))
+def test_every_model_brings_a_fit_that_takes_it(choice):
+    builds(f"model={choice}")
+
+
+@pytest.mark.parametrize("derivative", group("derivative"))
+def test_a_refinement_takes_the_closed_form_with_every_derivative(derivative):
+    assert set(builds("model=ssmr", "fit=rollout", f"derivative={derivative}").fit) == {"closed_form", "refinement"}
+
+
+@pytest.mark.parametrize("tuned", sorted((CONF / "tuned").glob("*/*.yaml")), ids=lambda path: f"{path.parent.name}/"
+                         f"{path.stem}")
+def test_what_was_tuned_is_taken_up_with_its_experiment_and_model(tuned):
+    config = builds(f"experiment={tuned.parent.name}", f"model={tuned.stem}")
+    for section, values in OmegaConf.to_container(OmegaConf.load(tuned)).items():
+        assert _within(values, OmegaConf.to_container(config[section]))
+
+
+def _within(values, everything) -> bool:
+    if isinstance(values, dict):
+        return all(_within(value, everything[key]) for key, value in values.items())
+    return values == everything
 
 
 def test_the_data_module_takes_its_configuration():
@@ -131,10 +157,7 @@ def test_every_logger_takes_arguments_that_it_knows(choice):
 
 @pytest.mark.parametrize("experiment", group("experiment"))
 def test_every_experiment_composes_and_its_model_and_fit_build(experiment):
-    config = compose("train", [f"experiment={experiment}"])
-    for build in config.fit.values():
-        instantiate(build)(model())
-    assert instantiate(config.model)(input_dim=4, output_dim=9, timestep=0.01).input_dim == 4
+    builds(f"experiment={experiment}")
 
 
 @pytest.mark.parametrize("controller", group("controller"))

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor, nn
 
-from ssmr_torch.models.integrators import DIVERGENCE_FACTOR, rk4_linearization, rk4_step
+from ssmr_torch.models.integrators import (
+    DIVERGENCE_FACTOR,
+    map_linearization,
+    repeated_map,
+    rk4_linearization,
+    rk4_step,
+    whole_multiple,
+)
+from ssmr_torch.models.tables import ModelTables
 
 
 class Linearization(NamedTuple):
@@ -31,6 +39,16 @@ class Rollout(NamedTuple):
 
     states: Tensor
     diverged_at: Tensor
+
+
+@torch.no_grad()
+def fill(pairs) -> None:
+    """Copy arrays into parameters or buffers, [(tensor, array), …]. Raises ValueError where a shape differs."""
+    for tensor, array in pairs:
+        if tuple(tensor.shape) != array.shape:
+            raise ValueError(f"a table has shape {array.shape}; the declared sizes and degrees need "
+                             f"{tuple(tensor.shape)}")
+        tensor.copy_(torch.from_numpy(array.copy()))
 
 
 class ReducedModel(nn.Module, ABC):
@@ -90,8 +108,17 @@ class ReducedModel(nn.Module, ABC):
         """First-order expansion of `decode`, batched over the leading dimensions."""
 
     @abstractmethod
-    def at_timestep(self, timestep: float) -> ReducedModel:
+    def tables(self) -> ModelTables:
+        """The same model as NumPy arrays, for artifacts and controllers."""
+
+    @classmethod
+    @abstractmethod
+    def from_tables(cls, tables: ModelTables) -> Self:
+        """The Torch model with these tables."""
+
+    def at_timestep(self, timestep: float) -> Self:
         """The same model with `step` covering another time in s; the spacing of the window stays."""
+        return self.from_tables(self.tables().at_timestep(timestep))
 
     def rollout(self, z: Tensor, inputs: Tensor) -> Rollout:
         """States under inputs (..., H, m) held one timestep each, from z (..., n).
@@ -149,5 +176,36 @@ class ContinuousTimeModel(ReducedModel):
         following, A, B = rk4_linearization(
             lambda x: self.rate(x, u), lambda x: (self.rate_jacobian(x, u), self.control_field(x)),
             z, self.identity, self.timestep, self.substeps)
+        c = following - (A @ z[..., None])[..., 0] - (B @ u[..., None])[..., 0]
+        return Linearization(A, B, c)
+
+
+class DiscreteTimeModel(ReducedModel):
+    """z⁺ = advance(z, u), a map over base_timestep s; `step` is as many of them, with the input held, as fill timestep.
+
+    base_timestep: s, what the model was or will be fitted at; None: the timestep. Raises ValueError where the timestep
+    is no whole multiple of it.
+    """
+
+    def __init__(self, state_dim: int, input_dim: int, output_dim: int, delays: int,
+                 timestep: float, window_timestep: float, base_timestep: float | None = None):
+        super().__init__(state_dim, input_dim, output_dim, delays, timestep, window_timestep)
+        self.base_timestep = float(timestep if base_timestep is None else base_timestep)
+        self.repeats = whole_multiple(self.timestep, self.base_timestep)
+
+    @abstractmethod
+    def advance(self, z: Tensor, u: Tensor) -> Tensor:
+        """State one base_timestep later with u held: (..., n), (..., m) → (..., n)."""
+
+    @abstractmethod
+    def advance_jacobians(self, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        """∂z⁺/∂z (..., n, n) and ∂z⁺/∂u (..., n, m) of `advance`."""
+
+    def step(self, z: Tensor, u: Tensor) -> Tensor:
+        return repeated_map(lambda x: self.advance(x, u), z, self.repeats)
+
+    def linearize(self, z: Tensor, u: Tensor) -> Linearization:
+        following, A, B = map_linearization(lambda x: self.advance(x, u), lambda x: self.advance_jacobians(x, u), z,
+                                            self.repeats)
         c = following - (A @ z[..., None])[..., 0] - (B @ u[..., None])[..., 0]
         return Linearization(A, B, c)

@@ -1,4 +1,4 @@
-"""One step of dz/dt = f(z, u) with the input held, and its exact sensitivities.
+"""One step with the input held, of dz/dt = f(z, u) or of a repeated map, and its exact sensitivities.
 
 Written with arithmetic and matrix products only, so that the same lines serve NumPy arrays and Torch tensors.
 """
@@ -45,3 +45,34 @@ def rk4_linearization(rate: Callable, jacobians: Callable, z, identity, timestep
         step_u = (h / 6.0) * (k1_u + 2.0 * k2_u + 2.0 * k3_u + k4_u)
         A, B = step_z @ A, step_u if B is None else step_z @ B + step_u
     return z, A, B
+
+
+def repeated_map(advance: Callable, z, repeats: int):
+    """z⁺ after `repeats` applications of the map, (..., n)."""
+    for _ in range(repeats):
+        z = advance(z)
+    return z
+
+
+def map_linearization(advance: Callable, jacobians: Callable, z, repeats: int):
+    """`repeated_map` and its derivatives (∂z⁺/∂z, ∂z⁺/∂u) by the chain rule.
+
+    jacobians(z) → (∂/∂z (..., n, n), ∂/∂u (..., n, m)) of one application at the held input.
+    """
+    A = B = None
+    for _ in range(repeats):
+        F, G = jacobians(z)
+        A, B = (F, G) if A is None else (F @ A, F @ B + G)
+        z = advance(z)
+    return z, A, B
+
+
+def whole_multiple(timestep: float, base_timestep: float) -> int:
+    """timestep / base_timestep, both in s. Raises ValueError when it is no positive integer."""
+    ratio = timestep / base_timestep
+    repeats = round(ratio)
+    if repeats < 1 or abs(ratio - repeats) > 1e-6 * repeats:
+        raise ValueError(f"a step of {timestep:g} s is {ratio:.6g} steps of this discrete-time model, which was fitted "
+                         f"at {base_timestep:g} s; expected a whole multiple: choose another period, or fit at one "
+                         "that divides it")
+    return repeats

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from ssmr_torch.models.integrators import rk4_linearization, rk4_step
 from ssmr_torch.models.monomials import Monomials
+from ssmr_torch.models.tables import ModelTables
 
 
-@dataclass(frozen=True, eq=False)
-class PolynomialTables:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PolynomialTables(ModelTables):
     """z = chart · window^{1:n_v},   window = parametrization · z^{1:n_w},
     dz/dt = drift · z^{1:n_r} + control · [u, z^{1:n_u} ⊗ u].
 
@@ -24,28 +25,11 @@ class PolynomialTables:
     parametrization: np.ndarray
     drift: np.ndarray
     control: np.ndarray
-    state_scale: np.ndarray
     chart_degree: int
     parametrization_degree: int
     dynamics_degree: int
     control_degree: int
-    input_dim: int
-    output_dim: int
-    delays: int
-    timestep: float
-    window_timestep: float
     substeps: int
-
-    def __post_init__(self):
-        for field in fields(self):
-            if field.type == "np.ndarray":
-                array = np.array(getattr(self, field.name), dtype=np.float64)
-                array.setflags(write=False)
-                object.__setattr__(self, field.name, array)
-
-    @property
-    def state_dim(self) -> int:
-        return len(self.drift)
 
     @cached_property
     def chart_monomials(self) -> Monomials:
@@ -114,14 +98,3 @@ class PolynomialTables:
         """C (..., p, n), d (..., p) of y ≈ C z + d."""
         C = self._newest @ self.parametrization_monomials.jacobian(z)
         return C, self.decode(z) - (C @ z[..., None])[..., 0]
-
-    def rollout(self, z: np.ndarray, inputs: np.ndarray) -> np.ndarray:
-        """States (..., H + 1, n) from z (..., n) under inputs (..., H, m) held one timestep each."""
-        states = [z]
-        for k in range(inputs.shape[-2]):
-            states.append(self.step(states[-1], inputs[..., k, :]))
-        return np.stack(states, axis=-2)
-
-    def at_timestep(self, timestep: float) -> PolynomialTables:
-        """The same model with `step` covering another time in s; the spacing of the window stays."""
-        return replace(self, timestep=float(timestep))

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-
 import torch
 from torch import Tensor, nn
 
-from ssmr_torch.models.base import ContinuousTimeModel, OutputLinearization
+from ssmr_torch.models.base import ContinuousTimeModel, OutputLinearization, fill
 from ssmr_torch.models.monomials import Monomials, count_monomials
 from ssmr_torch.models.polynomial_tables import PolynomialTables
 
@@ -128,31 +126,18 @@ class SSMR(ContinuousTimeModel):
         C = self.parametrization[-self.output_dim:] @ self.parametrization_features.jacobian(z)
         return OutputLinearization(C, self.decode(z) - (C @ z[..., None])[..., 0])
 
-    def at_timestep(self, timestep: float) -> SSMR:
-        return SSMR.from_tables(self.tables().at_timestep(timestep))
-
     def tables(self) -> PolynomialTables:
-        """The same model as NumPy arrays, for artifacts and controllers."""
         arrays = {"chart": self.chart, "parametrization": self.parametrization, "drift": self.drift_table,
                   "control": self.control_table, "state_scale": self.state_scale}
-        scalars = {field.name: getattr(self, field.name) for field in fields(PolynomialTables)
-                   if field.name not in arrays}
-        return PolynomialTables(**{name: value.detach().cpu().numpy() for name, value in arrays.items()}, **scalars)
+        return PolynomialTables(**{name: value.detach().cpu().numpy() for name, value in arrays.items()},
+                                **{name: getattr(self, name) for name in PolynomialTables.scalar_names()})
 
     @classmethod
     def from_tables(cls, tables: PolynomialTables) -> SSMR:
-        """The Torch model with these tables."""
-        scalars = {field.name: getattr(tables, field.name) for field in fields(tables)
-                   if field.type != "np.ndarray"}
-        model = cls(tables.state_dim, **scalars)
-        with torch.no_grad():
-            for parameter, array in ((model.chart, tables.chart), (model.parametrization, tables.parametrization),
-                                     (model.drift_table, tables.drift), (model.control_table, tables.control),
-                                     (model.state_scale, tables.state_scale)):
-                if parameter.shape != array.shape:
-                    raise ValueError(f"a table has shape {array.shape}; the declared degrees need "
-                                     f"{tuple(parameter.shape)}")
-                parameter.copy_(torch.from_numpy(array.copy()))
+        model = cls(tables.state_dim, **{name: getattr(tables, name) for name in tables.scalar_names()})
+        fill(((model.chart, tables.chart), (model.parametrization, tables.parametrization),
+              (model.drift_table, tables.drift), (model.control_table, tables.control),
+              (model.state_scale, tables.state_scale)))
         return model
 
     def _control_by_monomial(self) -> Tensor:
