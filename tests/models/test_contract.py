@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from ssmr_torch.models.base import DIVERGENCE_FACTOR
+from ssmr_torch import artifact
+from ssmr_torch.models.base import DIVERGENCE_FACTOR, ContinuousTimeModel
 from ssmr_torch.models.ssmr import SSMR
 
 
@@ -78,12 +79,21 @@ def test_the_linearization_equals_central_differences(model, batch):
             torch.testing.assert_close(matrix[:, j], difference, rtol=1e-7, atol=1e-8)
 
 
-def test_the_chart_inverts_the_parametrization_on_the_manifold(model, batch):
-    z, _ = batch
-    window = model.decode_window(z)
-    inputs = torch.zeros(len(z), model.delays, model.input_dim, dtype=torch.float64)
-    torch.testing.assert_close(model.encode(window, inputs), z, rtol=1e-12, atol=1e-12)
-    torch.testing.assert_close(window[:, -1], model.decode(z), rtol=1e-12, atol=1e-14)
+def windows_on_the_manifold(model, z):
+    """Windows, and the inputs held between their samples, that the model can represent exactly."""
+    inputs = torch.rand(len(z), model.delays, model.input_dim, dtype=torch.float64)
+    if hasattr(model, "decode_window"):
+        return model.decode_window(z), inputs
+    return 0.3 * torch.randn(len(z), model.delays + 1, model.output_dim, dtype=torch.float64), inputs
+
+
+def test_decoding_inverts_encoding_on_the_manifold(model, batch):
+    window, inputs = windows_on_the_manifold(model, batch[0])
+    z = model.encode(window, inputs)
+    assert z.shape == batch[0].shape
+    torch.testing.assert_close(model.decode(z), window[:, -1], rtol=1e-12, atol=1e-12)
+    if hasattr(model, "decode_window"):
+        torch.testing.assert_close(z, batch[0], rtol=1e-12, atol=1e-12)
 
 
 def test_a_rollout_is_repeated_steps(model, batch):
@@ -116,23 +126,38 @@ def test_the_state_dict_and_the_arguments_rebuild_the_model(model, batch):
     torch.testing.assert_close(again.step(*batch), model.step(*batch), rtol=0, atol=0)
 
 
-def test_the_tables_predict_what_the_torch_model_predicts(model, batch):
-    z, u = (tensor.numpy() for tensor in batch)
-    tables = model.tables()
-    window = model.decode_window(batch[0]).detach().numpy()
-    pairs = [(tables.encode(window, None), model.encode(torch.from_numpy(window))),
-             (tables.decode(z), model.decode(batch[0])), (tables.step(z, u), model.step(*batch)),
-             *zip(tables.linearize(z, u), model.linearize(*batch)),
-             *zip(tables.linearize_output(z), model.linearize_output(batch[0]))]
-    for array, tensor in pairs:
+def predictions(model, z, u, window, inputs):
+    """What a Torch model and its NumPy twin must agree on."""
+    return [model.encode(window, inputs), model.decode(z), model.step(z, u), *model.linearize(z, u),
+            *model.linearize_output(z)]
+
+
+def test_the_exported_model_predicts_what_the_torch_model_predicts(model, batch, tmp_path):
+    z, u = batch
+    window, inputs = windows_on_the_manifold(model, z)
+    names = [[f"{letter}{j}" for j in range(size)] for letter, size in (("y", model.output_dim), ("u", model.input_dim))]
+    artifact.save(tmp_path / "model", model.tables(), output_names=names[0], input_names=names[1],
+                  rest=[0.0] * model.output_dim, input_range=[[0.0] * model.input_dim, [1.0] * model.input_dim])
+    tables = artifact.load(tmp_path / "model").model
+    arrays = predictions(tables, *(tensor.detach().numpy() for tensor in (z, u, window, inputs)))
+    for array, tensor in zip(arrays, predictions(model, z, u, window, inputs)):
         np.testing.assert_allclose(array, tensor.detach().numpy(), rtol=1e-12, atol=1e-13)
+    again = type(model).from_tables(tables)
+    torch.testing.assert_close(again.step(z, u), model.step(z, u), rtol=1e-12, atol=1e-13)
 
 
 def test_another_timestep_is_the_same_flow(model, batch):
     z, u = batch
-    halves = model.at_timestep(model.timestep / 2)
-    torch.testing.assert_close(halves.step(halves.step(z, u), u), model.step(z, u), rtol=1e-3, atol=1e-6)
-    assert halves.window_timestep == model.window_timestep
+    if isinstance(model, ContinuousTimeModel):
+        halves = model.at_timestep(model.timestep / 2)
+        torch.testing.assert_close(halves.step(halves.step(z, u), u), model.step(z, u), rtol=1e-3, atol=1e-6)
+        assert halves.window_timestep == model.window_timestep
+        return
+    double = model.at_timestep(2 * model.timestep)
+    torch.testing.assert_close(double.step(z, u), model.step(model.step(z, u), u), rtol=1e-12, atol=1e-14)
+    assert double.window_timestep == model.window_timestep
+    with pytest.raises(ValueError, match="whole multiple"):
+        model.at_timestep(1.37 * model.timestep)
 
 
 @pytest.mark.parametrize(("change", "message"), [
