@@ -135,8 +135,8 @@ def predictions(model, z, u, window, inputs):
 def test_the_exported_model_predicts_what_the_torch_model_predicts(model, batch, tmp_path):
     z, u = batch
     window, inputs = windows_on_the_manifold(model, z)
-    names = [[f"{letter}{j}" for j in range(size)] for letter, size in (("y", model.output_dim), ("u", model.input_dim))]
-    artifact.save(tmp_path / "model", model.tables(), output_names=names[0], input_names=names[1],
+    outputs, inputs_ = ([str(j) for j in range(size)] for size in (model.output_dim, model.input_dim))
+    artifact.save(tmp_path / "model", model.tables(), output_names=outputs, input_names=inputs_,
                   rest=[0.0] * model.output_dim, input_range=[[0.0] * model.input_dim, [1.0] * model.input_dim])
     tables = artifact.load(tmp_path / "model").model
     arrays = predictions(tables, *(tensor.detach().numpy() for tensor in (z, u, window, inputs)))
