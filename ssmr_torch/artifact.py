@@ -19,10 +19,11 @@ from pathlib import Path
 import numpy as np
 from safetensors.numpy import load_file, save_file
 
+from ssmr_torch.models.control_augmented_tables import ControlAugmentedTables
 from ssmr_torch.models.polynomial_tables import PolynomialTables
 from ssmr_torch.models.tables import ModelTables
 
-KINDS: dict[str, type[ModelTables]] = {"polynomial": PolynomialTables}
+KINDS: dict[str, type[ModelTables]] = {"polynomial": PolynomialTables, "control-augmented": ControlAugmentedTables}
 FORMAT = "ssmr_torch artifact 2"
 REPLAY_TOLERANCE = 1e-9
 _HASHED = ("tables.safetensors", "reference.safetensors")

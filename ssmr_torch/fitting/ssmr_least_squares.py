@@ -11,7 +11,9 @@ from torch import Tensor, nn
 from ssmr_torch.data.derivatives import Stencil, central_difference
 from ssmr_torch.data.windows import Segment, delay_windows
 from ssmr_torch.fitting.statistics import Solution, singular_values
-from ssmr_torch.models.ssmr import SSMR, MonomialFeatures
+from ssmr_torch.models.monomial_features import MonomialFeatures
+from ssmr_torch.models.monomials import Monomials
+from ssmr_torch.models.ssmr import SSMR
 
 
 class Regression(NamedTuple):
@@ -90,7 +92,7 @@ class SSMRLeastSquares(nn.Module):
             raise ValueError(f"a window of {long_window} values cannot hold {n} reduced coordinates")
         self.register_buffer("detection_chart", torch.zeros(n, long_window, dtype=torch.float64))
         self.register_buffer("singular_values", torch.zeros(long_window, dtype=torch.float64))
-        self.nonlinear_features = MonomialFeatures(n, model.parametrization_degree)
+        self.nonlinear_features = MonomialFeatures(Monomials(n, 1, model.parametrization_degree))
 
     @property
     def before(self) -> int:

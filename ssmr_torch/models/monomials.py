@@ -1,5 +1,8 @@
 """Monomials z^{c:d} of a vector, degree-graded: x1, …, xn, x1², x1x2, …, x1xn, x2², …"""
 
+from __future__ import annotations
+
+from copy import copy
 from itertools import combinations_with_replacement
 from math import comb
 
@@ -24,6 +27,7 @@ class Monomials:
             raise ValueError(f"monomials of {variables} variables from degree {lowest}; "
                              "expected at least 1 variable and a lowest degree of at least 0")
         self.variables, self.lowest, self.highest = variables, lowest, highest
+        self.chosen: np.ndarray | None = None
         tuples = [list(combinations_with_replacement(range(variables), degree)) for degree in range(highest + 1)]
         self.levels = []
         for degree in range(2, highest + 1):
@@ -45,6 +49,14 @@ class Monomials:
     def __len__(self) -> int:
         return len(self.exponents)
 
+    def selected(self, rows: np.ndarray) -> Monomials:
+        """Only these of the monomials, rows (q,) of truth values, in the same order."""
+        part = copy(self)
+        whole = self.chosen if self.chosen is not None else np.arange(len(self))
+        part.chosen, part.exponents = whole[rows], self.exponents[rows]
+        part.derivative_index = self.derivative_index[rows]
+        return part
+
     def all_degrees(self, z: np.ndarray) -> np.ndarray:
         """z^{0:highest}, shape (..., 1 + n + …)."""
         parts = [np.ones(z.shape[:-1] + (1,), dtype=z.dtype)]
@@ -57,7 +69,8 @@ class Monomials:
     def __call__(self, z: np.ndarray) -> np.ndarray:
         """z (..., n) → z^{lowest:highest} (..., q)."""
         powers = self.all_degrees(z)
-        return powers[..., powers.shape[-1] - len(self):]
+        lowest = powers.shape[-1] - count_monomials(self.variables, self.lowest, self.highest)
+        return powers[..., lowest:] if self.chosen is None else powers[..., lowest + self.chosen]
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
         """∂ z^{lowest:highest} / ∂z, shape (..., q, n)."""

@@ -6,36 +6,9 @@ import torch
 from torch import Tensor, nn
 
 from ssmr_torch.models.base import ContinuousTimeModel, OutputLinearization, fill
+from ssmr_torch.models.monomial_features import MonomialFeatures
 from ssmr_torch.models.monomials import Monomials, count_monomials
 from ssmr_torch.models.polynomial_tables import PolynomialTables
-
-
-class MonomialFeatures(nn.Module):
-    """z^{1:degree} and its Jacobian in Torch, on the index tables of `Monomials`."""
-
-    def __init__(self, variables: int, degree: int):
-        super().__init__()
-        self.monomials = Monomials(variables, 1, degree)
-        for level, (parent, variable) in enumerate(self.monomials.levels):
-            self.register_buffer(f"parent_{level}", torch.from_numpy(parent), persistent=False)
-            self.register_buffer(f"variable_{level}", torch.from_numpy(variable), persistent=False)
-        self.register_buffer("exponents", torch.from_numpy(self.monomials.exponents).double(), persistent=False)
-        self.register_buffer("derivative_index", torch.from_numpy(self.monomials.derivative_index), persistent=False)
-
-    def __len__(self) -> int:
-        return len(self.monomials)
-
-    def forward(self, z: Tensor) -> Tensor:
-        """(..., n) → (..., q)."""
-        parts = [z] if self.monomials.highest >= 1 else [z[..., :0]]
-        for level in range(len(self.monomials.levels)):
-            parts.append(parts[-1][..., getattr(self, f"parent_{level}")] * z[..., getattr(self, f"variable_{level}")])
-        return torch.cat(parts, dim=-1)
-
-    def jacobian(self, z: Tensor) -> Tensor:
-        """(..., n) → (..., q, n)."""
-        powers = torch.cat([torch.ones_like(z[..., :1]), self(z)], dim=-1)
-        return self.exponents * powers[..., self.derivative_index]
 
 
 class SSMR(ContinuousTimeModel):
@@ -78,10 +51,10 @@ class SSMR(ContinuousTimeModel):
         self.parametrization = table(window, count_monomials(n, 1, parametrization_degree))
         self.drift_table = table(n, count_monomials(n, 1, dynamics_degree))
         self.control_table = table(n, m * (1 + count_monomials(n, 1, control_degree)))
-        self.chart_features = MonomialFeatures(window, chart_degree)
-        self.parametrization_features = MonomialFeatures(n, parametrization_degree)
-        self.drift_features = MonomialFeatures(n, dynamics_degree)
-        self.control_features = MonomialFeatures(n, control_degree)
+        self.chart_features = MonomialFeatures(Monomials(window, 1, chart_degree))
+        self.parametrization_features = MonomialFeatures(Monomials(n, 1, parametrization_degree))
+        self.drift_features = MonomialFeatures(Monomials(n, 1, dynamics_degree))
+        self.control_features = MonomialFeatures(Monomials(n, 1, control_degree))
 
     @property
     def arguments(self) -> dict:

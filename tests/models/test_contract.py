@@ -8,6 +8,7 @@ import torch
 
 from ssmr_torch import artifact
 from ssmr_torch.models.base import DIVERGENCE_FACTOR, ContinuousTimeModel
+from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.ssmr import SSMR
 
 
@@ -29,7 +30,24 @@ def random_ssmr(**options):
     return model
 
 
+def random_control_augmented(**options):
+    """A stable joint map of state and input, with small nonlinearities and a chart that sees the inputs."""
+    model = ControlAugmentedSSMR(6, 4, 3, base_timestep=0.01, timestep=0.02, window_timestep=0.01, **options)
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for table in model.parameters():
+            table.copy_(0.05 * torch.randn(table.shape, generator=generator, dtype=torch.float64))
+        model.chart += torch.eye(*model.chart.shape, dtype=torch.float64)
+        blocks = torch.block_diag(*(torch.tensor([[-2.0, w], [-w, -2.0]]) for w in (9.0, 11.0, 14.0))).double()
+        model.dynamics_table[:, :6] = blocks
+        model.state_scale.fill_(1.0)
+    return model
+
+
 MODELS = {
+    "control-augmented": lambda: random_control_augmented(delays=2, parametrization_degree=2),
+    "control-augmented, cubic, affine in the input": lambda: random_control_augmented(
+        delays=3, dynamics_degree=3, input_degree=1),
     "SSSR": lambda: random_ssmr(delays=1),
     "SSMR": lambda: random_ssmr(delays=3, parametrization_degree=3, dynamics_degree=3, control_degree=1),
     "SSMR, constant input matrix": lambda: random_ssmr(delays=2, dynamics_degree=2, control_degree=0),
@@ -84,6 +102,12 @@ def windows_on_the_manifold(model, z):
     inputs = torch.rand(len(z), model.delays, model.input_dim, dtype=torch.float64)
     if hasattr(model, "decode_window"):
         return model.decode_window(z), inputs
+    if isinstance(model, ControlAugmentedSSMR):  # the smallest window with chart z and newest sample w(z)
+        newest = torch.eye(model.window_dim, dtype=torch.float64)[-model.output_dim:]
+        seen = z - inputs.flatten(1) @ model.chart[:, model.window_dim:].T
+        rows = torch.cat([model.chart[:, :model.window_dim], newest])
+        window = torch.cat([seen, model.decode(z)], dim=1) @ torch.linalg.pinv(rows).T
+        return window.unflatten(1, (model.delays + 1, model.output_dim)), inputs
     return 0.3 * torch.randn(len(z), model.delays + 1, model.output_dim, dtype=torch.float64), inputs
 
 
@@ -92,7 +116,7 @@ def test_decoding_inverts_encoding_on_the_manifold(model, batch):
     z = model.encode(window, inputs)
     assert z.shape == batch[0].shape
     torch.testing.assert_close(model.decode(z), window[:, -1], rtol=1e-12, atol=1e-12)
-    if hasattr(model, "decode_window"):
+    if hasattr(model, "decode_window") or isinstance(model, ControlAugmentedSSMR):
         torch.testing.assert_close(z, batch[0], rtol=1e-12, atol=1e-12)
 
 

@@ -1,0 +1,62 @@
+"""A control-augmented SSM model as plain arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ssmr_torch.models.monomials import Monomials
+from ssmr_torch.models.tables import DiscreteTimeTables
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ControlAugmentedTables(DiscreteTimeTables):
+    """z = chart · [window, inputs held within it],   y = parametrization · z^{1:n_w},
+    z⁺ = z + base_timestep · dynamics · (z, u)^{1:n_r}, the monomials with degree ≤ n_u in u.
+
+    chart (n, (n_d + 1) p + n_d m), parametrization (p, ·), dynamics (n, ·): float64, SI.
+    """
+
+    chart: np.ndarray
+    parametrization: np.ndarray
+    dynamics: np.ndarray
+    parametrization_degree: int
+    dynamics_degree: int
+    input_degree: int
+
+    @cached_property
+    def parametrization_monomials(self) -> Monomials:
+        return Monomials(self.state_dim, 1, self.parametrization_degree)
+
+    @cached_property
+    def dynamics_monomials(self) -> Monomials:
+        return joint_monomials(self.state_dim, self.input_dim, self.dynamics_degree, self.input_degree)
+
+    def encode(self, window: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+        leading = window.shape[:-2]
+        return np.concatenate([window.reshape(*leading, -1), inputs.reshape(*leading, -1)], axis=-1) @ self.chart.T
+
+    def decode(self, z: np.ndarray) -> np.ndarray:
+        return self.parametrization_monomials(z) @ self.parametrization.T
+
+    def advance(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
+        together = np.concatenate([z, u], axis=-1)
+        return z + self.base_timestep * (self.dynamics_monomials(together) @ self.dynamics.T)
+
+    def advance_jacobians(self, z: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        jacobian = self.base_timestep * (self.dynamics
+                                         @ self.dynamics_monomials.jacobian(np.concatenate([z, u], axis=-1)))
+        n = self.state_dim
+        return np.eye(n) + jacobian[..., :n], jacobian[..., n:]
+
+    def linearize_output(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        C = self.parametrization @ self.parametrization_monomials.jacobian(z)
+        return C, self.decode(z) - (C @ z[..., None])[..., 0]
+
+
+def joint_monomials(state_dim: int, input_dim: int, degree: int, input_degree: int) -> Monomials:
+    """(z, u)^{1:degree}, z before u, without those of a degree above `input_degree` in u."""
+    everything = Monomials(state_dim + input_dim, 1, degree)
+    return everything.selected(everything.exponents[:, state_dim:].sum(1) <= input_degree)
