@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import lightning
-from torch.utils.data import DataLoader, Subset
+from torch.utils.data import DataLoader, RandomSampler, Subset
 
 from ssmr_torch.data.windows import RolloutDataset, SegmentDataset, SegmentShare, stack_rollouts
 from ssmr_torch.trajectory import TrajectoryDataset
@@ -35,20 +35,28 @@ class TrajectoryDataModule(lightning.LightningDataModule):
         self.training, self.validation = _hold_out(dataset, validation_share)
         self.test = tuple(run for run in dataset.select(split="test") if run.kind != "static")
         self.procedure, self.delays = None, 0
+        self.drawn_horizon, self.drawn_starts = self.rollout_horizon, None
 
     def prepare(self, fit) -> TrajectoryDataModule:
-        """Serve what this fit needs: segments when it is closed-form, rollouts otherwise.
+        """Serve what this fit needs: segments when it is closed-form, rollouts otherwise; of its own `horizon` in s
+        and as many, drawn anew each epoch, as its `starts`, where it has these.
 
         Raises ValueError here, before any fit, when runs are too short for its delays and the horizons.
         """
         self.procedure, self.delays = getattr(fit, "procedure", None), fit.model.delays
+        self.drawn_horizon = getattr(fit, "horizon", self.rollout_horizon)
+        self.drawn_starts = getattr(fit, "starts", None)
         for build in (self.train_dataloader, self.val_dataloader, self.test_dataloader):
             build()
         return self
 
     def train_dataloader(self) -> DataLoader:
         if self.procedure is None:
-            data = self._share(self._rollouts(self.training, self.rollout_horizon, None, self.transient))
+            data = self._share(self._rollouts(self.training, self.drawn_horizon, None, self.transient))
+            if self.drawn_starts and self.drawn_starts < len(data):
+                sampler = RandomSampler(data, num_samples=self.drawn_starts)
+                return DataLoader(data, self.batch_size, sampler=sampler, collate_fn=stack_rollouts,
+                                  num_workers=self.num_workers)
             return DataLoader(data, self.batch_size, shuffle=True, collate_fn=stack_rollouts,
                               drop_last=len(data) > self.batch_size, num_workers=self.num_workers)
         data = SegmentDataset(self.training, before=self.procedure.before, after=self.procedure.after,

@@ -10,7 +10,9 @@ from torch.nn.utils.rnn import pad_sequence
 
 from ssmr_torch.data.windows import RolloutBatch, RolloutDataset
 from ssmr_torch.fitting.dimension import captured_variance
+from ssmr_torch.fitting.rollout_sensitivities import dynamics_tables
 from ssmr_torch.models.base import ReducedModel
+from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.ssmr import SSMR
 
 ILL_CONDITIONED = 1e8
@@ -70,8 +72,10 @@ def diagnose(fit, trajectories: Sequence, transient: float = 0.0) -> dict:
     diverged = training_divergence(model, trajectories, transient=transient)
     report = {"regressions": getattr(fit, "solutions", {}), "diverged": diverged,
               "trajectories": {kind: sum(t.kind == kind for t in trajectories) for kind in ("decay", "controlled")}}
-    if isinstance(model, SSMR):
-        eigenvalues = torch.linalg.eigvals(model.drift_table[:, :model.state_dim])
+    if isinstance(model, (SSMR, ControlAugmentedSSMR)):
+        eigenvalues = torch.linalg.eigvals(dynamics_tables(model)[0][:, :model.state_dim])
+        if isinstance(model, ControlAugmentedSSMR):
+            eigenvalues = torch.log(1 + model.base_timestep * eigenvalues) / model.base_timestep
         report["eigenvalues"] = [[float(value.real), float(value.imag)] for value in eigenvalues]
         report["window_dim"], report["state_dim"] = model.window_dim, model.state_dim
     procedure = getattr(fit, "procedure", None)
@@ -79,6 +83,7 @@ def diagnose(fit, trajectories: Sequence, transient: float = 0.0) -> dict:
         values = procedure.singular_values.cpu().numpy()
         report["singular_values"] = values.tolist()
         report["captured_variance"] = float(captured_variance(values)[model.state_dim - 1])
+    report["repairs"] = getattr(fit, "repairs", {})
     report["warnings"] = warnings(report, model)
     return report
 
@@ -96,6 +101,8 @@ def warnings(report: dict, model: ReducedModel) -> list[str]:
         if regression["condition"] > ILL_CONDITIONED:
             found.append(f"The {name} regression has condition {regression['condition']:.2g}; add ridge, lower the "
                          "degree, or excite the robot more widely.")
+    found += [f"The stability guard repaired the fit: {what} {amount:g}." for what, amount
+              in report.get("repairs", {}).items()]
     joint = "use calibration=joint, " if "drift" in report["regressions"] else ""
     for kind, share in report["diverged"].items():
         if share > 0:

@@ -35,7 +35,11 @@ class ModelFit(lightning.LightningModule):
     card: plain values that travel with the checkpoint (names, units, rest, bounds of the data).
     validation/rmse, test/rmse: mean over seeded starts of the open-loop error over the horizon, m (infinite when a
     start diverges, which …/diverged counts); …/rmse_median: their median.
+    selects: whether the fit keeps its best epoch by validation error, and is undone where none is better than its
+    start; otherwise its last epoch is kept.
     """
+
+    selects = False
 
     def __init__(self, model: ReducedModel):
         super().__init__()
@@ -150,6 +154,8 @@ class GradientFit(ModelFit):
     learning_rate: relative to the size of each coefficient's contribution, see `ScaledAdam`. frozen: names of
     parameters that keep their values (the chart and the parametrization's geometry by default).
     """
+
+    selects = True
 
     def __init__(self, model: ReducedModel, *, epochs: int = 20, learning_rate: float = 3e-4,
                  frozen: Sequence[str] = ("chart", "parametrization"), gradient_clip: float = 1.0):

@@ -14,11 +14,13 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.data.derivatives import Stencil
 from ssmr_torch.fitting.checkpoints import check_resumable, load_model, save_model
+from ssmr_torch.fitting.control_augmented_least_squares import ControlAugmentedLeastSquares
 from ssmr_torch.fitting.diagnosis import diagnose
 from ssmr_torch.fitting.dimension import choose_dimension
 from ssmr_torch.fitting.fit import LeastSquaresFit, ModelFit
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.models.base import ReducedModel
+from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.trajectory import TrajectoryDataset
 
@@ -50,6 +52,12 @@ def least_squares(model: SSMR, *, ridge=0.0, folds: int = 5, derivative: Stencil
                   **options) -> LeastSquaresFit:
     """Closed-form fit of an SSMR; options as in `SSMRLeastSquares`, ridge and folds as in `LeastSquaresFit`."""
     return LeastSquaresFit(SSMRLeastSquares(model, derivative=derivative, **options), ridge, folds)
+
+
+def control_augmented_least_squares(model: ControlAugmentedSSMR, *, ridge=0.0, folds: int = 5,
+                                    **options) -> LeastSquaresFit:
+    """Closed-form fit of a control-augmented SSMR; options as in `ControlAugmentedLeastSquares`."""
+    return LeastSquaresFit(ControlAugmentedLeastSquares(model, **options), ridge, folds)
 
 
 def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
@@ -110,15 +118,14 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
          resume: bool) -> tuple[dict[str, float], str]:
     """Scores of the fitted model, and a sentence where the fit was undone."""
     validated = bool(module.validation)
-    closed_form = isinstance(fit, LeastSquaresFit)
     keep = ModelCheckpoint(dirpath=directory, filename="best", save_last=True, enable_version_counter=False,
-                           monitor="validation/rmse" if validated and not closed_form else None,
-                           save_on_train_epoch_end=closed_form or None)
+                           monitor="validation/rmse" if validated and fit.selects else None,
+                           save_on_train_epoch_end=not fit.selects or None)
     trainer = build_trainer(max_epochs=fit.epochs, callbacks=[keep], logger=loggers, num_sanity_val_steps=0,
-                            check_val_every_n_epoch=fit.epochs if closed_form else 1)
+                            check_val_every_n_epoch=1 if fit.selects else fit.epochs)
     last = directory / "last.ckpt"
     before = {name: value.clone() for name, value in fit.model.state_dict().items()}
-    bar = None if closed_form or not validated else trainer.validate(fit, module, verbose=False)[0]["validation/rmse"]
+    bar = None if not fit.selects or not validated else trainer.validate(fit, module, verbose=False)[0]["validation/rmse"]
     trainer.fit(fit, module, ckpt_path=str(last) if resume and last.is_file() else None, weights_only=True)
     best = float("nan") if bar is None else float(keep.best_model_score)
     improved = bar is None or best <= bar

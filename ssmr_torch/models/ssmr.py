@@ -63,7 +63,11 @@ class SSMR(ContinuousTimeModel):
             "control_degree", "chart_degree", "timestep", "window_timestep", "substeps")}
 
     def encode(self, window: Tensor, inputs: Tensor | None = None) -> Tensor:
-        return self.chart_features(window.flatten(-2)) @ self.chart.T
+        return self.chart_regressors(window, inputs) @ self.chart.T
+
+    def chart_regressors(self, window: Tensor, inputs: Tensor | None = None) -> Tensor:
+        """ŷ^{1:n_v}, such that encode = chart · regressors."""
+        return self.chart_features(window.flatten(-2))
 
     def decode(self, z: Tensor) -> Tensor:
         return self.parametrization_features(z) @ self.parametrization[-self.output_dim:].T
@@ -80,6 +84,10 @@ class SSMR(ContinuousTimeModel):
         """[u, z^{1:n_u} ⊗ u], (..., m (1 + q)), such that control_field(z) u = control_table · regressors."""
         products = self.control_features(z)[..., :, None] * u[..., None, :]
         return torch.cat([u, products.flatten(-2)], dim=-1)
+
+    def dynamics_regressors(self, z: Tensor, u: Tensor) -> Tensor:
+        """[z^{1:n_r}, u, z^{1:n_u} ⊗ u], such that rate = [drift, control] · regressors."""
+        return torch.cat([self.drift_features(z), self.control_regressors(z, u)], dim=-1)
 
     def control_field(self, z: Tensor) -> Tensor:
         weights = torch.cat([torch.ones_like(z[..., :1]), self.control_features(z)], dim=-1)

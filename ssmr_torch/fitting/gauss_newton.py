@@ -1,0 +1,169 @@
+"""Refinement of polynomial models by Gauss-Newton steps on the multi-step rollout error, under a stability guard."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ssmr_torch.data.windows import RolloutBatch
+from ssmr_torch.fitting.fit import ModelFit
+from ssmr_torch.fitting.rollout_sensitivities import GROUPS, coefficients, rollout_sensitivities
+from ssmr_torch.fitting.stability import StabilityGuard
+from ssmr_torch.models.base import ReducedModel
+
+LARGEST = 6000           # coefficients: the normal matrix then takes 0.3 GB
+SMALLEST_DAMPING, LARGEST_DAMPING = 1e-8, 1e4
+ROWS = 1 << 22           # numbers in a block of sensitivities
+
+
+class LevenbergMarquardt(torch.optim.Optimizer):
+    """θ ← θ + d,  (H + λ diag H) d = g,  H = Σ JᵀJ,  g = Σ Jᵀr [Marquardt 1963].
+
+    tables: views of what is changed; their entries, one table after the other, are the columns of J.
+    acceptable: whether the present tables may be kept. λ falls by 5 after a step that lowers the cost and is
+    acceptable, and rises by 6 until one is; beyond `LARGEST_DAMPING` nothing is changed.
+    `cost` and `gain`, the relative decrease (0 where nothing was changed), are those of the last step.
+    """
+
+    def __init__(self, parameters: Iterable[Tensor], tables: Sequence[Tensor], damping: float,
+                 acceptable: Callable[[], bool] = lambda: True):
+        super().__init__(parameters, {})
+        self.tables, self.damping, self.acceptable = list(tables), float(damping), acceptable
+        self.cost, self.gain = float("inf"), 0.0
+        size = sum(table.numel() for table in tables)
+        self._normal = tables[0].new_zeros(size, size)
+        self._gradient = tables[0].new_zeros(size)
+
+    def accumulate(self, jacobian: Tensor, residuals: Tensor) -> None:
+        """Add rows: J (N, P) of the predictions, r (N,) = measured - predicted, both weighted."""
+        self._normal.addmm_(jacobian.T, jacobian)
+        self._gradient.addmv_(jacobian.T, residuals)
+
+    @torch.no_grad()
+    def step(self, closure: Callable[[], float]) -> float:
+        """Take the least damped step that lowers the cost; closure: cost of the present tables."""
+        start = torch.cat([table.flatten() for table in self.tables])
+        before = self.cost = closure()
+        scale = self._normal.diagonal().clamp_min(1e-12 * self._normal.diagonal().max().clamp_min(1e-300)).sqrt()
+        normal, gradient = self._normal / scale / scale[:, None], self._gradient / scale
+        diagonal = normal.diagonal().clone()
+        while self.damping <= LARGEST_DAMPING:
+            normal.diagonal().copy_(diagonal + self.damping)
+            factor, failed = torch.linalg.cholesky_ex(normal)
+            if not failed:
+                self._put(start + torch.cholesky_solve(gradient[:, None], factor)[:, 0] / scale)
+                self.cost = closure()
+                if self.cost < before and self.acceptable():
+                    self.damping = max(self.damping / 5, SMALLEST_DAMPING)
+                    break
+            self.damping *= 6
+        else:
+            self._put(start)
+            self.cost, self.damping = before, LARGEST_DAMPING
+        self.gain = 1 - self.cost / before if before > 0 else 0.0
+        self._normal.zero_()
+        self._gradient.zero_()
+        return self.cost
+
+    def _put(self, values: Tensor) -> None:
+        for table, part in zip(self.tables, torch.split(values, [table.numel() for table in self.tables])):
+            table.copy_(part.view_as(table))
+
+
+class GaussNewtonFit(ModelFit):
+    """Minimizes  mean over starts and samples k of ‖ŷ_k - y_k‖² / σ_k²  by one Levenberg-Marquardt step per epoch.
+
+    σ_k is the error k steps ahead of the model that the fit starts from, so that short and long horizons count alike.
+    Each epoch draws `starts` rollouts of `horizon` s from the training runs; residuals are taken at `samples`
+    logarithmically spaced steps of each. trained: of "dynamics", "chart" (an oblique projection, learned: [Buurmeijer
+    et al., Taming high-dimensional dynamics, 2025]) and "parametrization" (its newest sample's rows).
+    A step is refused unless the `StabilityGuard` (margin 1/s, reach) holds; where the model does not hold at the start,
+    it is made to. The fit ends after `epochs` steps, or when two in a row lower the cost by less than `tolerance`.
+    Raises ValueError for models without coefficient tables or with more than 6,000 trained coefficients.
+    """
+
+    selects = True
+
+    def __init__(self, model: ReducedModel, *, epochs: int = 15, starts: int = 400, horizon: float = 1.0,
+                 samples: int = 10, trained: Sequence[str] = GROUPS, damping: float = 1e-2, tolerance: float = 0.01,
+                 margin: float = 0.05, reach: float = 3.0):
+        super().__init__(model)
+        if epochs < 1 or starts < 1 or samples < 1 or not (horizon > 0 and damping > 0 and tolerance >= 0):
+            raise ValueError(f"epochs {epochs}, starts {starts}, samples {samples}, horizon {horizon} s, damping "
+                             f"{damping} and tolerance {tolerance}; all must be positive")
+        size = sum(table.numel() for table in coefficients(model, trained))
+        if size > LARGEST:
+            raise ValueError(f"{size} coefficients are trained, more than the {LARGEST} of which a Gauss-Newton step "
+                             "can be made; lower the degrees or state_dim, or use fit=rollout")
+        self.automatic_optimization = False
+        self.epochs, self.starts, self.horizon, self.samples = int(epochs), int(starts), float(horizon), int(samples)
+        self.trained, self.damping, self.tolerance = tuple(trained), float(damping), float(tolerance)
+        self.margin, self.reach = float(margin), float(reach)
+        self.repairs: dict[str, float] = {}
+        self._batches: list[RolloutBatch] = []
+        self._last_gain = 1.0
+
+    def configure_optimizers(self) -> LevenbergMarquardt:
+        return LevenbergMarquardt(self.model.parameters(), coefficients(self.model, self.trained), self.damping,
+                                  acceptable=lambda: self.guard.holds(self.model))
+
+    def on_fit_start(self) -> None:
+        super().on_fit_start()
+        if self.trainer.world_size > 1:
+            raise ValueError(f"{self.trainer.world_size} processes; a Gauss-Newton fit runs in one, use trainer=cpu or "
+                             "trainer=gpu")
+        module = self.trainer.datamodule
+        self.guard = StabilityGuard(module.training, transient=module.transient, margin=self.margin, reach=self.reach)
+        self.repairs = self.guard.enforce(self.model)
+        self._weights: Tensor | None = None
+
+    @torch.no_grad()
+    def training_step(self, batch: RolloutBatch, index: int) -> None:
+        optimizer = self.optimizers()
+        steps = self._steps(batch)
+        if self._weights is None:
+            self._weights = self._first_weights(batch, steps)
+        size = sum(table.numel() for table in coefficients(self.model, self.trained))
+        rows = max(ROWS // (size * self.model.state_dim), 1)
+        for first in range(0, len(batch.inputs), rows):
+            part = RolloutBatch(*(getattr(batch, name)[first:first + rows] for name in batch.__dataclass_fields__))
+            for found, weight in zip(rollout_sensitivities(self.model, part, steps, self.trained), self._weights):
+                residual = weight * (part.outputs[:, found.step - 1] - found.outputs).flatten()
+                jacobian = weight * found.jacobian.flatten(0, 1)
+                finite = torch.isfinite(residual) & torch.isfinite(jacobian).all(-1)
+                optimizer.optimizer.accumulate(jacobian[finite], residual[finite])
+        self._batches.append(batch)
+        if self.trainer.is_last_batch:
+            optimizer.step(closure=self._cost)
+            self._finish(optimizer.optimizer)
+
+    def _finish(self, optimizer: LevenbergMarquardt) -> None:
+        self._batches.clear()
+        self.log_dict({"train/cost": optimizer.cost, "train/damping": optimizer.damping}, prog_bar=True, batch_size=1)
+        self.trainer.should_stop = max(optimizer.gain, self._last_gain) < self.tolerance
+        self._last_gain = optimizer.gain
+
+    def _steps(self, batch: RolloutBatch) -> list[int]:
+        """Logarithmically spaced steps from the first to the last of the rollout."""
+        return sorted({int(round(step)) for step in np.geomspace(1, batch.inputs.shape[1], self.samples)})
+
+    def _errors(self, batch: RolloutBatch, steps: Sequence[int]) -> Tensor:
+        """‖ŷ_k - y_k‖² (N, steps)."""
+        states = self.model.rollout(self.model.encode(batch.window, batch.window_inputs), batch.inputs).states
+        there = torch.as_tensor(steps, device=states.device)
+        return (self.model.decode(states[:, there]) - batch.outputs[:, there - 1]).square().sum(-1)
+
+    def _first_weights(self, batch: RolloutBatch, steps: Sequence[int]) -> Tensor:
+        """1 / σ_k, with a floor on σ_k so that what is already exact does not count without end."""
+        errors = self._errors(batch, steps).mean(0)
+        return 1 / torch.maximum(errors, 1e-8 * batch.outputs.square().sum(-1).mean()).sqrt()
+
+    @torch.no_grad()
+    def _cost(self) -> float:
+        """Mean over the epoch's starts and samples; not a finite number where a rollout has diverged beyond numbers."""
+        weighted = [(self._errors(batch, self._steps(batch)) * self._weights.square()).mean(1)
+                    for batch in self._batches]
+        return float(torch.cat(weighted).mean())

@@ -1,0 +1,151 @@
+"""Fits that do not diverge: the linear part kept stable, and no rollout of the training set leaving the range."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from ssmr_torch.data.windows import RolloutDataset
+from ssmr_torch.fitting.fit import ModelFit
+from ssmr_torch.fitting.rollout_sensitivities import dynamics_tables
+from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
+from ssmr_torch.models.ssmr import SSMR
+
+HALVINGS = 12
+
+
+class StabilityGuard:
+    """Says whether a polynomial model is safe to roll out, and makes it so.
+
+    A model holds when (1) the linear part R₁ of its reduced dynamics is stable, Re λ ≤ −margin for every eigenvalue,
+    |1 + h λ| ≤ e^{−margin h} in discrete time, and (2) no rollout over the full length of a training trajectory,
+    under its recorded inputs, leaves `reach` times the range of the training states.
+
+    trajectories: those of the training. transient: s cut from the start of each decay. margin: 1/s. reach: smaller
+    than the `DIVERGENCE_FACTOR` that a rollout is judged by later, so that unseen runs have room as well.
+    Raises ValueError for a model without coefficient tables.
+    """
+
+    def __init__(self, trajectories: Sequence, *, transient: float = 0.0, margin: float = 0.05, reach: float = 3.0):
+        if not (margin >= 0 and reach > 1):
+            raise ValueError(f"margin {margin} 1/s and reach {reach}; expected 0 or more, and more than 1")
+        self.trajectories, self.transient = tuple(trajectories), float(transient)
+        self.margin, self.reach = float(margin), float(reach)
+
+    def holds(self, model: SSMR | ControlAugmentedSSMR) -> bool:
+        """Whether the linear part is stable and no training rollout diverges."""
+        return bool((self._excess(model) <= 1e-9).all()) and not self.diverges(model)
+
+    @torch.no_grad()
+    def diverges(self, model: SSMR | ControlAugmentedSSMR) -> bool:
+        """Whether any full-length rollout of a training trajectory leaves the range."""
+        bound = self.reach * torch.linalg.vector_norm(model.state_scale)
+        states, inputs, lengths = self._starts(model)
+        for k in range(inputs.shape[1]):
+            running = int((lengths > k).sum())  # longest first, so the first ones
+            states = model.step(states[:running], inputs[:running, k])
+            if not bool((torch.linalg.vector_norm(states, dim=-1) <= bound).all()):
+                return True
+        return False
+
+    @torch.no_grad()
+    def enforce(self, model: SSMR | ControlAugmentedSSMR) -> dict[str, float]:
+        """Make the model hold with the smallest changes of these kinds; {what: how much}, empty where nothing was done.
+
+        Eigenvalues beyond the margin are moved onto it, with their frequencies and eigenvectors kept. Then all terms
+        beyond the linear ones are shrunk by the factor ½, ¼, …, 0, the largest for which no rollout diverges.
+        """
+        found = {}
+        excess = self._excess(model)
+        if (excess > 1e-9).any():
+            self._stabilize(model)
+            found["eigenvalues moved"] = float((excess > 1e-9).sum())
+        if not self.diverges(model):
+            return found
+        tables = dynamics_tables(model)
+        whole = [table.clone() for table in tables]
+        for factor in (*(0.5**k for k in range(1, HALVINGS)), 0.0):
+            for table, before, linear in zip(tables, whole, _linear_columns(model)):
+                table.copy_(torch.where(linear, before, factor * before))
+            if not self.diverges(model):
+                break
+        return found | {"nonlinear terms multiplied by": factor}
+
+    def _starts(self, model) -> tuple[Tensor, Tensor, Tensor]:
+        """Encoded first windows (N, n), padded inputs (N, H, m) and lengths (N,), longest first."""
+        device, cut = model.state_scale.device, []
+        for run in self.trajectories:
+            first = round(self.transient / run.timestep) if run.kind == "decay" else 0
+            steps = run.length - first - model.delays - 1
+            if steps >= 1 and run.kind != "static":
+                cut.append((steps, run.part(first) if first else run))
+        cut.sort(key=lambda pair: -pair[0])
+        starts = []
+        inputs = torch.zeros(len(cut), cut[0][0], model.input_dim, dtype=torch.float64, device=device)
+        for row, (steps, run) in enumerate(cut):
+            whole = RolloutDataset([run], delays=model.delays, horizon=steps)[0].to(device)
+            starts.append(model.encode(whole.window, whole.window_inputs))
+            inputs[row, :steps] = whole.inputs
+        return torch.stack(starts), inputs, torch.tensor([steps for steps, _ in cut], device=device)
+
+    def _excess(self, model) -> Tensor:
+        """By how much Re λ, or the rate log|1 + h λ| / h, exceeds −margin, (n,), 1/s."""
+        eigenvalues = torch.linalg.eigvals(_linear_part(model))
+        if isinstance(model, ControlAugmentedSSMR):
+            h = model.base_timestep
+            return torch.log((1 + h * eigenvalues).abs().clamp_min(1e-300)) / h + self.margin
+        return eigenvalues.real + self.margin
+
+    def _stabilize(self, model) -> None:
+        linear = _linear_part(model)
+        eigenvalues, vectors = torch.linalg.eig(linear)
+        if isinstance(model, ControlAugmentedSSMR):
+            h = model.base_timestep
+            factors = 1 + h * eigenvalues
+            largest = torch.exp(torch.as_tensor(-self.margin * h))
+            factors = factors * torch.clamp(largest / factors.abs().clamp_min(1e-300), max=1.0)
+            moved = (factors - 1) / h
+        else:
+            moved = torch.complex(torch.clamp(eigenvalues.real, max=-self.margin), eigenvalues.imag)
+        linear.copy_(torch.linalg.solve(vectors.mT, (vectors * moved).mT).mT.real)
+
+
+class GuardFit(ModelFit):
+    """Makes a fitted polynomial model hold by its `StabilityGuard`; `repairs` says what that took.
+
+    One epoch without training; the validation that follows scores the repaired model.
+    """
+
+    epochs, starts = 1, 1
+
+    def __init__(self, model: SSMR | ControlAugmentedSSMR, *, margin: float = 0.05, reach: float = 3.0):
+        super().__init__(model)
+        dynamics_tables(model)
+        self.settings = {"margin": margin, "reach": reach}
+        self.automatic_optimization = False
+        self.repairs: dict[str, float] = {}
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        return torch.optim.SGD(self.model.parameters(), lr=0.0)
+
+    def training_step(self, batch, index: int) -> None:
+        module = self.trainer.datamodule
+        guard = StabilityGuard(module.training, transient=module.transient, **self.settings)
+        self.repairs = guard.enforce(self.model)
+        self.optimizers().step()  # nothing has a gradient; a fit without a step would not be saved
+
+
+def _linear_part(model) -> Tensor:
+    """View of R₁ (n, n), the columns that multiply z alone."""
+    return dynamics_tables(model)[0][:, :model.state_dim]
+
+
+def _linear_columns(model) -> list[Tensor]:
+    """For each dynamics table, which of its columns multiply z or u alone."""
+    n, m = model.state_dim, model.input_dim
+    linear = (n, m) if isinstance(model, SSMR) else (n + m,)
+    return [torch.arange(table.shape[1], device=table.device) < count
+            for table, count in zip(dynamics_tables(model), linear)]
+

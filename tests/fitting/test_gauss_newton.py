@@ -1,0 +1,114 @@
+"""Gauss-Newton steps on the rollout error."""
+
+import lightning
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import least_squares
+
+from ssmr_torch.data.datamodule import TrajectoryDataModule
+from ssmr_torch.fitting.gauss_newton import GaussNewtonFit, LevenbergMarquardt
+from ssmr_torch.fitting.stability import StabilityGuard
+from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
+from ssmr_torch.models.ssmr import SSMR
+
+
+def rosenbrock(x):
+    return torch.stack([10 * (x[1] - x[0] ** 2), 1 - x[0]])
+
+
+def test_levenberg_marquardt_finds_the_minimum_that_scipy_finds():
+    x = torch.tensor([-1.2, 1.0], dtype=torch.float64)
+    optimizer = LevenbergMarquardt([torch.nn.Parameter(torch.zeros(1))], [x], damping=1e-2)
+    costs = []
+    for _ in range(60):
+        optimizer.accumulate(torch.func.jacrev(rosenbrock)(x), -rosenbrock(x))
+        costs.append(optimizer.step(lambda: float(rosenbrock(x).square().sum())))
+    expected = least_squares(lambda v: rosenbrock(torch.from_numpy(v)).numpy(), [-1.2, 1.0], method="lm").x
+    np.testing.assert_allclose(x.numpy(), expected, atol=1e-7)
+    assert all(later <= earlier for earlier, later in zip(costs, costs[1:]))
+
+
+def test_on_a_linear_problem_one_undamped_step_is_least_squares():
+    rng = np.random.default_rng(0)
+    A, b = (torch.from_numpy(rng.normal(size=shape)) for shape in ((40, 6), (40,)))
+    tables = [torch.zeros(2, 2, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)]
+    optimizer = LevenbergMarquardt([torch.nn.Parameter(torch.zeros(1))], tables, damping=1e-12)
+    for half in (slice(0, 15), slice(15, 40)):
+        optimizer.accumulate(A[half], b[half])
+    optimizer.step(lambda: float((A @ torch.cat([t.flatten() for t in tables]) - b).square().sum()))
+    found = torch.cat([t.flatten() for t in tables])
+    torch.testing.assert_close(found, torch.linalg.lstsq(A, b).solution, rtol=1e-8, atol=1e-10)
+
+
+def test_a_step_that_is_not_acceptable_is_undone():
+    x = torch.ones(3, dtype=torch.float64)
+    optimizer = LevenbergMarquardt([torch.nn.Parameter(torch.zeros(1))], [x], 1e-2, acceptable=lambda: False)
+    optimizer.accumulate(torch.eye(3, dtype=torch.float64), -x)
+    assert optimizer.step(lambda: float(x.square().sum())) == 3.0 and optimizer.gain == 0.0
+    assert (x == 1).all()
+
+
+def fitted(model, dataset, tmp_path, **options):
+    module = TrajectoryDataModule(dataset, validation_share=0.2, validation_horizon=0.3)
+    fit = GaussNewtonFit(model, **{"epochs": 8, "starts": 60, "horizon": 0.3} | options)
+    trainer = lightning.Trainer(max_epochs=fit.epochs, accelerator="cpu", logger=False, enable_progress_bar=False,
+                                enable_checkpointing=False, enable_model_summary=False, num_sanity_val_steps=0,
+                                default_root_dir=tmp_path)
+    module.prepare(fit)
+    errors = [trainer.validate(fit, module, verbose=False)[0]["validation/rmse"]]
+    trainer.fit(fit, module)
+    errors.append(trainer.validate(fit, module, verbose=False)[0]["validation/rmse"])
+    return fit, errors, trainer
+
+
+def started(known, kind):
+    """A linear model near the known robot's: its slow linear dynamics, nothing nonlinear."""
+    options = {"dynamics_degree": 3, "parametrization_degree": 2, "timestep": 0.01}
+    model = kind(2, 2, 4, 0, **options)
+    drift = model.drift_table if kind is SSMR else model.dynamics_table
+    with torch.no_grad():
+        V = torch.from_numpy(known.V)
+        model.chart.copy_(V.T)
+        model.parametrization[:, :2] = V
+        drift[:, :2] = torch.from_numpy(known.A)
+        control = model.control_table[:, :2] if kind is SSMR else model.dynamics_table[:, 2:4]
+        control.copy_(torch.from_numpy(known.B))
+        model.state_scale.fill_(0.02)
+    return model
+
+
+@pytest.mark.filterwarnings("ignore:.*does not have many workers")
+@pytest.mark.filterwarnings("ignore:.*smaller than the logging interval")
+@pytest.mark.parametrize("kind", [SSMR, ControlAugmentedSSMR])
+def test_what_a_linear_model_misses_is_found_and_the_result_is_guarded(known, tmp_path, kind):
+    model = started(known, kind)
+    dataset = known.dataset()
+    fit, (before, after), trainer = fitted(model, dataset, tmp_path)
+    assert after < 0.05 * before
+    assert fit.guard.holds(model) and fit.repairs == {}
+    assert trainer.current_epoch <= fit.epochs
+
+
+@pytest.mark.filterwarnings("ignore:.*does not have many workers")
+@pytest.mark.filterwarnings("ignore:.*smaller than the logging interval")
+def test_an_unstable_start_is_made_to_hold_first(known, tmp_path):
+    model = started(known, SSMR)
+    with torch.no_grad():
+        model.drift_table[:, :2] += 2 * torch.eye(2)
+    fit, (before, after), _ = fitted(model, known.dataset(), tmp_path, epochs=2)
+    assert fit.repairs["eigenvalues moved"] == 2 and after < before
+    assert StabilityGuard(known.decays(0.01)).holds(model)
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"epochs": 0}, "epochs 0, starts 400"), ({"horizon": 0.0}, "horizon 0.0 s"),
+    ({"trained": ["everything"]}, "expected some of")])
+def test_impossible_settings_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        GaussNewtonFit(SSMR(2, 1, 2), **options)
+
+
+def test_more_coefficients_than_a_step_can_take_are_refused():
+    with pytest.raises(ValueError, match="more than the 6000 of which"):
+        GaussNewtonFit(ControlAugmentedSSMR(12, 8, 9, 1, dynamics_degree=3))
