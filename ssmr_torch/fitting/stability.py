@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
-from ssmr_torch.data.windows import RolloutDataset
+from ssmr_torch.data.windows import RolloutBatch, RolloutDataset, stack_rollouts
 from ssmr_torch.fitting.fit import ModelFit
 from ssmr_torch.fitting.rollout_sensitivities import dynamics_tables
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
@@ -20,19 +21,22 @@ class StabilityGuard:
     """Says whether a polynomial model is safe to roll out, and makes it so.
 
     A model holds when (1) the linear part R₁ of its reduced dynamics is stable, Re λ ≤ −margin for every eigenvalue,
-    |1 + h λ| ≤ e^{−margin h} in discrete time, and (2) no rollout over the full length of a training trajectory,
-    under its recorded inputs, leaves `reach` times the range of the training states.
+    |1 + h λ| ≤ e^{−margin h} in discrete time, and (2) no rollout of the training set, under its recorded inputs,
+    leaves `reach` times the range of the training states: neither one over the full length of a trajectory nor one of
+    `horizon` s from any of `starts` seeded samples, which need not lie on the manifold.
 
     trajectories: those of the training. transient: s cut from the start of each decay. margin: 1/s. reach: smaller
     than the `DIVERGENCE_FACTOR` that a rollout is judged by later, so that unseen runs have room as well.
-    Raises ValueError for a model without coefficient tables.
+    Raises ValueError for a model without coefficient tables, or one that was not fitted yet.
     """
 
-    def __init__(self, trajectories: Sequence, *, transient: float = 0.0, margin: float = 0.05, reach: float = 3.0):
+    def __init__(self, trajectories: Sequence, *, transient: float = 0.0, margin: float = 0.05, reach: float = 3.0,
+                 horizon: float = 1.0, starts: int = 1000):
         if not (margin >= 0 and reach > 1):
             raise ValueError(f"margin {margin} 1/s and reach {reach}; expected 0 or more, and more than 1")
-        self.trajectories, self.transient = tuple(trajectories), float(transient)
-        self.margin, self.reach = float(margin), float(reach)
+        self.trajectories = tuple(_settled(run, transient) for run in trajectories if run.kind != "static")
+        self.margin, self.reach, self.horizon, self.starts = float(margin), float(reach), float(horizon), int(starts)
+        self._recorded: dict[int, tuple[RolloutBatch, list[RolloutBatch]]] = {}
 
     def holds(self, model: SSMR | ControlAugmentedSSMR) -> bool:
         """Whether the linear part is stable and no training rollout diverges."""
@@ -42,13 +46,36 @@ class StabilityGuard:
     def diverges(self, model: SSMR | ControlAugmentedSSMR) -> bool:
         """Whether any full-length rollout of a training trajectory leaves the range."""
         bound = self.reach * torch.linalg.vector_norm(model.state_scale)
-        states, inputs, lengths = self._starts(model)
+        if not torch.isfinite(bound):
+            raise ValueError("the range of the training states is not known; guard a model after its closed form")
+        some, whole = self._of_delays(model.delays)
+        return self._leaves(model, [some.to(bound.device)], bound) or self._leaves(
+            model, [run.to(bound.device) for run in whole], bound)
+
+    @staticmethod
+    def _leaves(model, batches: list[RolloutBatch], bound: Tensor) -> bool:
+        """Whether any rollout leaves the bound; batches by falling length, padded to the longest."""
+        lengths = torch.cat([torch.full((len(batch.inputs),), batch.inputs.shape[1]) for batch in batches])
+        states = torch.cat([model.encode(batch.window, batch.window_inputs) for batch in batches])
+        inputs = pad_sequence([row for batch in batches for row in batch.inputs], batch_first=True)
         for k in range(inputs.shape[1]):
-            running = int((lengths > k).sum())  # longest first, so the first ones
+            running = int((lengths > k).sum())
             states = model.step(states[:running], inputs[:running, k])
             if not bool((torch.linalg.vector_norm(states, dim=-1) <= bound).all()):
                 return True
         return False
+
+    def _of_delays(self, delays: int) -> tuple[RolloutBatch, list[RolloutBatch]]:
+        """Seeded starts of `horizon` s, and every trajectory from its first window to its end, longest first."""
+        if delays not in self._recorded:
+            whole = [stack_rollouts([RolloutDataset([run], delays=delays, horizon=run.length - delays - 1)[0]])
+                     for run in self.trajectories if run.length > delays + 1]
+            samples = max(round(self.horizon / self.trajectories[0].timestep), 1)
+            samples = min(samples, max(batch.inputs.shape[1] for batch in whole))
+            drawn = RolloutDataset(self.trajectories, delays=delays, horizon=samples, starts=self.starts)
+            self._recorded[delays] = (stack_rollouts([drawn[index] for index in range(len(drawn))]),
+                                      sorted(whole, key=lambda batch: -batch.inputs.shape[1]))
+        return self._recorded[delays]
 
     @torch.no_grad()
     def enforce(self, model: SSMR | ControlAugmentedSSMR) -> dict[str, float]:
@@ -72,23 +99,6 @@ class StabilityGuard:
             if not self.diverges(model):
                 break
         return found | {"nonlinear terms multiplied by": factor}
-
-    def _starts(self, model) -> tuple[Tensor, Tensor, Tensor]:
-        """Encoded first windows (N, n), padded inputs (N, H, m) and lengths (N,), longest first."""
-        device, cut = model.state_scale.device, []
-        for run in self.trajectories:
-            first = round(self.transient / run.timestep) if run.kind == "decay" else 0
-            steps = run.length - first - model.delays - 1
-            if steps >= 1 and run.kind != "static":
-                cut.append((steps, run.part(first) if first else run))
-        cut.sort(key=lambda pair: -pair[0])
-        starts = []
-        inputs = torch.zeros(len(cut), cut[0][0], model.input_dim, dtype=torch.float64, device=device)
-        for row, (steps, run) in enumerate(cut):
-            whole = RolloutDataset([run], delays=model.delays, horizon=steps)[0].to(device)
-            starts.append(model.encode(whole.window, whole.window_inputs))
-            inputs[row, :steps] = whole.inputs
-        return torch.stack(starts), inputs, torch.tensor([steps for steps, _ in cut], device=device)
 
     def _excess(self, model) -> Tensor:
         """By how much Re λ, or the rate log|1 + h λ| / h, exceeds −margin, (n,), 1/s."""
@@ -135,6 +145,11 @@ class GuardFit(ModelFit):
         guard = StabilityGuard(module.training, transient=module.transient, **self.settings)
         self.repairs = guard.enforce(self.model)
         self.optimizers().step()  # nothing has a gradient; a fit without a step would not be saved
+
+
+def _settled(run, transient: float):
+    first = round(transient / run.timestep) if run.kind == "decay" else 0
+    return run.part(first) if first else run
 
 
 def _linear_part(model) -> Tensor:

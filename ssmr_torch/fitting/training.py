@@ -125,7 +125,9 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
                             check_val_every_n_epoch=1 if fit.selects else fit.epochs)
     last = directory / "last.ckpt"
     before = {name: value.clone() for name, value in fit.model.state_dict().items()}
-    bar = None if not fit.selects or not validated else trainer.validate(fit, module, verbose=False)[0]["validation/rmse"]
+    bar = None
+    if fit.selects and validated:
+        bar = trainer.validate(fit, module, verbose=False)[0]["validation/rmse"]
     trainer.fit(fit, module, ckpt_path=str(last) if resume and last.is_file() else None, weights_only=True)
     best = float("nan") if bar is None else float(keep.best_model_score)
     improved = bar is None or best <= bar

@@ -32,9 +32,9 @@ class ControlAugmentedSSMR(DiscreteTimeModel):
                          timestep if window_timestep is None else window_timestep, base_timestep)
         seen = self.window_dim + self.delays * self.input_dim
         if seen < state_dim:
-            raise ValueError(f"a window of {delays + 1} samples of {output_dim} outputs and the inputs between them hold "
-                             f"{seen} values, fewer than the {state_dim} reduced coordinates; use more delays or a "
-                             "smaller state_dim")
+            raise ValueError(f"a window of {delays + 1} samples of {output_dim} outputs and the inputs between them "
+                             f"hold {seen} values, fewer than the {state_dim} reduced coordinates; use more delays or "
+                             "a smaller state_dim")
         input_degree = dynamics_degree if input_degree is None else input_degree
         for name, degree in (("parametrization_degree", parametrization_degree), ("dynamics_degree", dynamics_degree),
                              ("input_degree", input_degree)):

@@ -75,6 +75,21 @@ def test_runs_are_followed_to_their_end():
     assert StabilityGuard([run(60), run(3000)]).diverges(slow)
 
 
+def test_starts_within_a_run_are_followed_as_well_as_its_first():
+    from_rest = run(300)
+    ahead = 1 - np.exp(-from_rest.time[:, None] / 0.2)
+    growing = Trajectory(from_rest.time, ahead * from_rest.observation, 0 * from_rest.input)
+    model = spiral(-0.5, cubic=40.0)
+    assert StabilityGuard([growing]).diverges(model) and not StabilityGuard([growing], horizon=0.02).diverges(model)
+
+
+def test_a_model_that_was_not_fitted_is_refused():
+    model = spiral(-1.0)
+    model.state_scale.fill_(torch.inf)
+    with pytest.raises(ValueError, match="after its closed form"):
+        GUARD.diverges(model)
+
+
 def test_impossible_settings_are_refused():
     with pytest.raises(ValueError, match="margin -1 1/s and reach 3"):
         StabilityGuard([], margin=-1, reach=3)
