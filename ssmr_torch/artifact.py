@@ -20,10 +20,12 @@ import numpy as np
 from safetensors.numpy import load_file, save_file
 
 from ssmr_torch.models.control_augmented_tables import ControlAugmentedTables
+from ssmr_torch.models.koopman_tables import KoopmanTables
 from ssmr_torch.models.polynomial_tables import PolynomialTables
 from ssmr_torch.models.tables import ModelTables
 
-KINDS: dict[str, type[ModelTables]] = {"polynomial": PolynomialTables, "control-augmented": ControlAugmentedTables}
+KINDS: dict[str, type[ModelTables]] = {"polynomial": PolynomialTables, "control-augmented": ControlAugmentedTables,
+                                     "koopman": KoopmanTables}
 FORMAT = "ssmr_torch artifact 2"
 REPLAY_TOLERANCE = 1e-9
 _HASHED = ("tables.safetensors", "reference.safetensors")
@@ -169,8 +171,10 @@ def _predict(model: ModelTables, reference: dict[str, np.ndarray]) -> dict[str, 
     z, u, window = reference["state"], reference["input"], reference["window"]
     A, B, c = model.linearize(z, u)
     C, d = model.linearize_output(z)
-    return {"encoded": model.encode(window, reference["window_input"]), "decoded": model.decode(z),
-            "following": model.step(z, u), "A": A, "B": B, "c": c, "C": C, "d": d}
+    found = {"encoded": model.encode(window, reference["window_input"]), "decoded": model.decode(z),
+             "following": model.step(z, u), "A": A, "B": B, "c": c, "C": C, "d": d}
+    # a broadcast view would be stored as what lies behind it
+    return {name: np.ascontiguousarray(array) for name, array in found.items()}
 
 
 def _replay(directory: Path, model: ModelTables) -> None:

@@ -87,8 +87,7 @@ def test_every_derivative_is_a_stencil(derivative):
 def builds(*overrides):
     """The model of a configuration with every one of its fits built around it."""
     config = compose("train", list(overrides))
-    built = instantiate(config.model)(state_dim=config.model.get("state_dim", 6), input_dim=4, output_dim=9,
-                                      timestep=0.01)
+    built = instantiate(config.model)(input_dim=4, output_dim=9, timestep=0.01)
     for fit in config.fit.values():
         assert isinstance(instantiate(fit)(built), ModelFit)
     return config

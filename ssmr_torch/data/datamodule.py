@@ -12,7 +12,7 @@ from ssmr_torch.trajectory import TrajectoryDataset
 class TrajectoryDataModule(lightning.LightningDataModule):
     """Segments for closed-form fits, rollouts for gradient fits, the same validation and test starts for both.
 
-    Static set points are left out: they are no dynamics.
+    Static set points are no dynamics; only a procedure that asks for them (`takes_static`) is served those of training.
     validation_share: tail of every controlled training run that is held out when no run is marked "validation".
     transient: s cut from the start of each training decay. rows: core samples per segment.
     rollout_horizon, validation_horizon: s. starts: seeded validation and test starts. batch_size: rollouts per step.
@@ -34,7 +34,8 @@ class TrajectoryDataModule(lightning.LightningDataModule):
         self.batch_size, self.stride, self.seed, self.num_workers = batch_size, stride, seed, num_workers
         self.training, self.validation = _hold_out(dataset, validation_share)
         self.test = tuple(run for run in dataset.select(split="test") if run.kind != "static")
-        self.procedure, self.delays = None, 0
+        self.static = dataset.select(split="train", kind="static")
+        self.procedure, self.delays, self.sampling = None, 0, 1
         self.drawn_horizon, self.drawn_starts = self.rollout_horizon, None
 
     def prepare(self, fit) -> TrajectoryDataModule:
@@ -44,6 +45,9 @@ class TrajectoryDataModule(lightning.LightningDataModule):
         Raises ValueError here, before any fit, when runs are too short for its delays and the horizons.
         """
         self.procedure, self.delays = getattr(fit, "procedure", None), fit.model.delays
+        self.sampling = max(round(fit.model.timestep / self.dataset.timestep), 1)
+        if hasattr(self.procedure, "sampled_every"):
+            self.procedure.sampled_every(self.dataset.timestep)
         self.drawn_horizon = getattr(fit, "horizon", self.rollout_horizon)
         self.drawn_starts = getattr(fit, "starts", None)
         for build in (self.train_dataloader, self.val_dataloader, self.test_dataloader):
@@ -59,7 +63,8 @@ class TrajectoryDataModule(lightning.LightningDataModule):
                                   num_workers=self.num_workers)
             return DataLoader(data, self.batch_size, shuffle=True, collate_fn=stack_rollouts,
                               drop_last=len(data) > self.batch_size, num_workers=self.num_workers)
-        data = SegmentDataset(self.training, before=self.procedure.before, after=self.procedure.after,
+        static = self.static if getattr(self.procedure, "takes_static", False) else ()
+        data = SegmentDataset(self.training + static, before=self.procedure.before, after=self.procedure.after,
                               rows=self.rows, transient=self.transient)
         return DataLoader(self._share(data), batch_size=None, shuffle=False, num_workers=self.num_workers)
 
@@ -79,9 +84,9 @@ class TrajectoryDataModule(lightning.LightningDataModule):
         return DataLoader(data, len(data), collate_fn=stack_rollouts, num_workers=self.num_workers)
 
     def _rollouts(self, trajectories: tuple, horizon: float, starts: int | None, transient: float) -> RolloutDataset:
-        samples = max(round(horizon / self.dataset.timestep), 1)
-        return RolloutDataset(trajectories, delays=self.delays, horizon=samples, starts=starts,
-                              stride=1 if starts else self.stride, seed=self.seed, transient=transient)
+        steps = max(round(horizon / (self.dataset.timestep * self.sampling)), 1)
+        return RolloutDataset(trajectories, delays=self.delays, horizon=steps, starts=starts, seed=self.seed,
+                              stride=1 if starts else self.stride, transient=transient, sampling=self.sampling)
 
     def _share(self, data):
         """This process's part: each segment in exactly one process; of rollouts, equally many in each."""

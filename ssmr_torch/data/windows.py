@@ -131,23 +131,27 @@ class RolloutBatch:
 class RolloutDataset(Dataset):
     """Seeded starts in trajectories, each with its window and the H samples that follow; never across two runs.
 
+    sampling: samples per model step: windows are spaced and outputs are sampled by it, and each input is the mean over
+    its step. delays, horizon: in model steps.
     starts: number of starts drawn uniformly over all admissible ones, or None for all of them, `stride` apart.
     Raises ValueError when no trajectory is long enough.
     """
 
     def __init__(self, trajectories: Sequence, *, delays: int, horizon: int, starts: int | None = None,
-                 stride: int = 1, seed: int = 0, transient: float = 0.0):
-        self.trajectories, self.delays, self.horizon = tuple(trajectories), delays, horizon
+                 stride: int = 1, seed: int = 0, transient: float = 0.0, sampling: int = 1):
+        self.trajectories, self.delays, self.horizon, self.sampling = tuple(trajectories), delays, horizon, sampling
+        before, after = delays * sampling, horizon * sampling
         admissible = []
         for number, trajectory in enumerate(self.trajectories):
             first = round(transient / trajectory.timestep) if trajectory.kind == "decay" else 0
-            newest = np.arange(first + delays, trajectory.length - horizon, stride)
+            newest = np.arange(first + before, trajectory.length - after, stride)
             admissible.append(np.stack([np.full_like(newest, number), newest], axis=1))
         everything = np.concatenate(admissible) if admissible else np.zeros((0, 2), dtype=np.int64)
         if not len(everything):
             longest = max((t.length for t in self.trajectories), default=0)
-            raise ValueError(f"no start fits: {delays} delays and a horizon of {horizon} samples need "
-                             f"{delays + horizon + 1} samples, the longest of {len(self.trajectories)} trajectories "
+            apart = f", {sampling} samples apart," if sampling > 1 else ""
+            raise ValueError(f"no start fits: {delays} delays and a horizon of {horizon} samples{apart} need "
+                             f"{before + after + 1} samples, the longest of {len(self.trajectories)} trajectories "
                              f"has {longest}; shorten the horizon")
         if starts is not None and starts < len(everything):
             everything = everything[np.random.default_rng(seed).choice(len(everything), starts, replace=False)]
@@ -158,9 +162,10 @@ class RolloutDataset(Dataset):
 
     def __getitem__(self, item: int) -> RolloutBatch:
         number, newest = self.starts[item]
-        observation, inputs = self.trajectories[number].slice(newest - self.delays, newest + self.horizon + 1)
-        observation, inputs, d = _tensor(observation), _tensor(inputs), self.delays
-        return RolloutBatch(observation[:d + 1], inputs[:d], inputs[d:d + self.horizon], observation[d + 1:])
+        d, h, s = self.delays, self.horizon, self.sampling
+        observation, inputs = self.trajectories[number].slice(newest - d * s, newest + h * s + 1)
+        observation, inputs = _tensor(observation)[::s], _tensor(inputs)[:-1].unflatten(0, (d + h, s)).mean(1)
+        return RolloutBatch(observation[:d + 1], inputs[:d], inputs[d:], observation[d + 1:])
 
 
 def stack_rollouts(items: list[RolloutBatch]) -> RolloutBatch:

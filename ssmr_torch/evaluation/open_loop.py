@@ -105,8 +105,8 @@ def score_open_loop(model, trajectories: Iterable, *, horizons: Sequence[float] 
     `margin` samples before them (default: what the window needs, at least 1) and the horizon after them in
     their trajectory; the draw depends on seed, margin and trajectories, not on the model. "full" is one
     rollout per trajectory, from sample `margin` to the end. A model that steps by several samples is compared
-    at its own steps (`duration` says how much of the horizon they cover) and sees the input of the first
-    sample of each. A rollout has diverged when the model says so, a prediction is not finite, or ‖ŷ‖ over all
+    at its own steps (`duration` says how much of the horizon they cover) and sees the mean input over each.
+    A rollout has diverged when the model says so, a prediction is not finite, or ‖ŷ‖ over all
     outputs exceeds 10 times the largest measured ‖y‖. Raises ValueError when timesteps or columns do not
     match or no trajectory is long enough.
     """

@@ -63,15 +63,18 @@ class Forecaster:
         """Predicted and measured (N, H, p), H = max(steps); rows are padded past their own steps.
 
         owner, sample, steps: (N,). The k-th output is `stride` k samples after the start, and the input of a
-        step is that of its first sample. Padding never reads another trajectory: it repeats the last sample.
+        step is the mean over its samples. Padding never reads another trajectory: it repeats the last sample.
         """
         recording = self.recording
         newest = recording.offsets[owner] + sample
         last = recording.offsets[owner] + recording.lengths[owner] - 1
         window = newest[:, None] - self.window_stride * np.arange(self.predictor.delays, -1, -1)
         future = np.minimum(newest[:, None] + self.stride * np.arange(steps.max() + 1), last[:, None])
-        predicted = self.predictor.predict(recording.observation[window], recording.input[window[:, :-1]],
-                                           recording.input[future[:, :-1]])
+        within = np.arange(self.stride)
+        ahead = np.minimum(future[:, :-1, None] + within, last[:, None, None])
+        behind = window[:, :-1, None] + np.arange(self.window_stride)
+        predicted = self.predictor.predict(recording.observation[window], recording.input[behind].mean(axis=2),
+                                           recording.input[ahead].mean(axis=2))
         return predicted, recording.observation[future[:, 1:]]
 
 

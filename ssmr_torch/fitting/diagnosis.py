@@ -28,7 +28,7 @@ def training_divergence(model: ReducedModel, trajectories: Sequence, horizon: fl
     shares = {}
     for kind in ("decay", "controlled"):
         runs = [_without(transient, run) if kind == "decay" else run for run in trajectories if run.kind == kind]
-        outcomes = [_diverged(model, starts) for starts in _batches(model.delays, runs, kind, horizon)]
+        outcomes = [_diverged(model, starts) for starts in _batches(model, runs, kind, horizon)]
         if outcomes:
             shares[kind] = float(torch.cat(outcomes).double().mean())
     return shares
@@ -39,15 +39,16 @@ def _without(transient: float, run):
     return run.part(first) if first else run
 
 
-def _batches(delays: int, trajectories: Sequence, kind: str, horizon: float) -> Iterator[list[RolloutBatch]]:
+def _batches(model: ReducedModel, trajectories: Sequence, kind: str, horizon: float) -> Iterator[list[RolloutBatch]]:
     batch = []
     for run in trajectories:
-        samples = run.length - delays - 1
-        if samples < 1:
+        sampling = max(round(model.timestep / run.timestep), 1)
+        steps = (run.length - 1) // sampling - model.delays
+        if steps < 1:
             continue
         if kind == "controlled":
-            samples = min(samples, max(round(horizon / run.timestep), 1))
-        starts = RolloutDataset([run], delays=delays, horizon=samples, stride=samples)
+            steps = min(steps, max(round(horizon / model.timestep), 1))
+        starts = RolloutDataset([run], delays=model.delays, horizon=steps, stride=steps * sampling, sampling=sampling)
         for index in range(len(starts)):
             batch.append(starts[index])
             if len(batch) == STARTS_AT_ONCE:
@@ -78,9 +79,9 @@ def diagnose(fit, trajectories: Sequence, transient: float = 0.0) -> dict:
             eigenvalues = torch.log(1 + model.base_timestep * eigenvalues) / model.base_timestep
         report["eigenvalues"] = [[float(value.real), float(value.imag)] for value in eigenvalues]
         report["window_dim"], report["state_dim"] = model.window_dim, model.state_dim
-    procedure = getattr(fit, "procedure", None)
-    if procedure is not None:
-        values = procedure.singular_values.cpu().numpy()
+    singular = getattr(getattr(fit, "procedure", None), "singular_values", None)
+    if singular is not None:
+        values = singular.cpu().numpy()
         report["singular_values"] = values.tolist()
         report["captured_variance"] = float(captured_variance(values)[model.state_dim - 1])
     report["repairs"] = getattr(fit, "repairs", {})

@@ -15,12 +15,14 @@ class ExactSolve(torch.optim.Optimizer):
 
     ridge: relative λ of every regression, a sequence of λ to choose from by cross-validation over the folds, or a
     mapping {regression name: either}; one that a mapping does not name takes its "default", or λ = 0.
+    penalty: "ridge" or "lasso", see `StreamedRegression.solve`.
     After `step`, `solutions` holds what was solved; who owns the parameters puts them in place.
     """
 
-    def __init__(self, parameters: Iterable[Tensor], ridge: float | tuple | Mapping = 0.0):
+    def __init__(self, parameters: Iterable[Tensor], ridge: float | tuple | Mapping = 0.0,
+                 penalty: str = "ridge"):
         super().__init__(parameters, {})
-        self.ridge = ridge
+        self.ridge, self.penalty = ridge, penalty
         self.regressions: dict[str, StreamedRegression] = {}
         self.solutions: dict[str, Solution] = {}
 
@@ -37,6 +39,6 @@ class ExactSolve(torch.optim.Optimizer):
             if isinstance(ridge, Mapping):
                 ridge = ridge.get(name, ridge.get("default", 0.0))
             ridge = float(ridge) if isinstance(ridge, (int, float)) else tuple(float(value) for value in ridge)
-            self.solutions[name] = regression.solve(ridge)
+            self.solutions[name] = regression.solve(ridge, penalty=self.penalty)
         self.regressions = {}
         return loss

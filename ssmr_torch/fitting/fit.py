@@ -13,6 +13,7 @@ from ssmr_torch.data.windows import RolloutBatch, Segment, delay_windows
 from ssmr_torch.fitting.exact import ExactSolve
 from ssmr_torch.fitting.scaled_adam import ScaledAdam, table_scales
 from ssmr_torch.fitting.ssmr_least_squares import LeastSquaresModel
+from ssmr_torch.fitting.statistics import PENALTIES
 from ssmr_torch.models.base import ReducedModel
 
 
@@ -70,19 +71,22 @@ class LeastSquaresFit(ModelFit):
     """Fits a model in closed form: one epoch per stage, each solved at its last batch.
 
     The solve is the step of the optimizer `ExactSolve`, so that checkpoints, loggers and the validation after the
-    epoch all see the solved parameters. ridge: see `ExactSolve`. folds: cross-validation parts, by trajectory and,
-    within long ones, by contiguous stretches.
+    epoch all see the solved parameters. ridge, penalty: see `ExactSolve`. folds: cross-validation parts, by trajectory
+    and, within long ones, by contiguous stretches.
     `solutions` keeps what the fit found, for its report.
     """
 
-    def __init__(self, procedure: LeastSquaresModel, ridge: float | Sequence | dict = 0.0, folds: int = 5):
+    def __init__(self, procedure: LeastSquaresModel, ridge: float | Sequence | dict = 0.0, folds: int = 5,
+                 penalty: str = "ridge"):
         super().__init__(procedure.model)
         if folds < 2:
             raise ValueError(f"folds is {folds}; cross-validation needs at least 2")
         unknown = set(ridge) - {"default", *procedure.names} if isinstance(ridge, Mapping) else set()
         if unknown:
             raise ValueError(f"ridge names {sorted(unknown)}; the regressions are {sorted(procedure.names)}")
-        self.procedure, self.ridge, self.folds = procedure, ridge, int(folds)
+        if penalty not in PENALTIES:
+            raise ValueError(f"penalty is {penalty!r}; expected one of {sorted(PENALTIES)}")
+        self.procedure, self.ridge, self.folds, self.penalty = procedure, ridge, int(folds), penalty
         self.automatic_optimization = False
         self.solutions: dict[str, dict] = {}
 
@@ -92,7 +96,7 @@ class LeastSquaresFit(ModelFit):
         return len(self.procedure.stages)
 
     def configure_optimizers(self) -> ExactSolve:
-        return ExactSolve(self.model.parameters(), self.ridge)
+        return ExactSolve(self.model.parameters(), self.ridge, self.penalty)
 
     def on_train_start(self) -> None:
         if isinstance(getattr(self.trainer.train_dataloader, "sampler", None), DistributedSampler):
@@ -120,15 +124,22 @@ class LeastSquaresFit(ModelFit):
             self._record(found)
 
     def _observe_scale(self, segment: Segment) -> None:
-        windows = delay_windows(segment.observation, self.model.delays)
-        inputs = segment.input[:0].new_zeros(len(windows), self.model.delays, self.model.input_dim)
-        if self.model.delays:
-            inputs = delay_windows(segment.input[:-1], self.model.delays - 1)
+        if segment.kind == "static":
+            return
+        windows, inputs = self._windows(segment)
         largest = self.model.encode(windows, inputs).abs().amax(0)
         scale = self.model.state_scale
         scale.copy_(torch.where(scale.isinf(), largest, torch.maximum(scale, largest)))
         if self.trainer.is_last_batch and distributed.is_available() and distributed.is_initialized():
             distributed.all_reduce(scale, op=distributed.ReduceOp.MAX)
+
+    def _windows(self, segment: Segment) -> tuple[Tensor, Tensor]:
+        if hasattr(self.procedure, "windows"):
+            return self.procedure.windows(segment)
+        windows = delay_windows(segment.observation, self.model.delays)
+        if self.model.delays:
+            return windows, delay_windows(segment.input[:-1], self.model.delays - 1)
+        return windows, windows.new_zeros(len(windows), 0, self.model.input_dim)
 
     def _record(self, solutions: dict) -> None:
         for name, solution in solutions.items():

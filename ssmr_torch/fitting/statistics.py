@@ -6,8 +6,10 @@ as normal equations do; factors of two batches, folds or processes merge by one 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor, distributed
 
@@ -73,9 +75,10 @@ class StreamedRegression:
             total = total.merged(factor)
         return total
 
-    def solve(self, ridge: float | tuple[float, ...] = 0.0) -> Solution:
-        """Minimize Σ‖targets - C features‖² + λ Σ_j s_j² ‖C_j‖², s_j² = Σ feature_j²: λ has no unit.
+    def solve(self, ridge: float | tuple[float, ...] = 0.0, *, penalty: str = "ridge") -> Solution:
+        """Minimize Σ‖targets - C features‖² + a penalty on C that does not depend on units, s_j² = Σ feature_j²:
 
+        "ridge": λ Σ_j s_j² ‖C_j‖²;   "lasso": 2 λ Σ_ij ‖target_i‖ s_j |C_ij|, where λ = 1 leaves nothing.
         Several values of λ: the one with the least held-out error over the folds. Raises ValueError when no
         rows were accumulated, a λ is negative, or there are several λ but only one fold.
         """
@@ -84,29 +87,47 @@ class StreamedRegression:
         candidates = tuple(ridge) if isinstance(ridge, (tuple, list)) else (float(ridge),)
         if not candidates or not all(0 <= value < float("inf") for value in candidates):
             raise ValueError(f"ridge is {ridge}; expected 0 or more, one value or several")
-        validation = {}
+        solve, validation = PENALTIES[penalty], {}
         if len(candidates) > 1 and self.split[1] > 0:
             if len(self.folds) < 2:
                 raise ValueError(f"choosing among {len(candidates)} ridges needs at least 2 folds; there is "
                                  f"{len(self.folds)}; give more trajectories or one ridge")
-            validation = self._cross_validate(candidates)
+            validation = self._cross_validate(candidates, solve)
             candidates = (min(validation, key=validation.get),)
         total = self.total()
-        coefficients, condition, rank = _ridge_solution(total, self.split[0], candidates[0])
+        (coefficients,) = solve(total, self.split[0], candidates[:1])
         residual = _relative_error(total, self.split[0], coefficients)
-        return Solution(total, coefficients, total.rows, condition, rank, candidates[0], residual, validation)
+        return Solution(total, coefficients, total.rows, *_conditioning(total, self.split[0]), candidates[0], residual,
+                        validation)
 
-    def _cross_validate(self, candidates: tuple[float, ...]) -> dict[float, float]:
-        errors = {}
-        parts = {fold: self.total(without=fold) for fold in self.folds}
-        for ridge in candidates:
-            squared = target = 0.0
-            for fold, part in parts.items():
-                coefficients, _, _ = _ridge_solution(part, self.split[0], ridge)
-                error, size = _squared_error(self.folds[fold], self.split[0], coefficients)
-                squared, target = squared + error, target + size
-            errors[ridge] = (squared / max(target, 1e-300)) ** 0.5
-        return errors
+    def _cross_validate(self, candidates: tuple[float, ...], solve: Callable) -> dict[float, float]:
+        squared, target = dict.fromkeys(candidates, 0.0), 0.0
+        for fold, held_out in self.folds.items():
+            solutions = solve(self.total(without=fold), self.split[0], candidates)
+            for candidate, coefficients in zip(candidates, solutions):
+                error, size = _squared_error(held_out, self.split[0], coefficients)
+                squared[candidate] += error
+            target += size
+        return {candidate: (error / max(target, 1e-300)) ** 0.5 for candidate, error in squared.items()}
+
+
+def lasso_solutions(factor: Factor, features: int, candidates: Sequence[float]) -> list[Tensor]:
+    """Coefficients (targets, features) for each lasso λ, by scikit-learn's coordinate descent on the factor."""
+    from sklearn.linear_model import Lasso
+
+    matrix, targets = factor.triangle[:features, :features], factor.triangle[:features, features:]
+    norms = (torch.linalg.vector_norm(columns, dim=0) for columns in (matrix, factor.triangle[:, features:]))
+    scale, size = (torch.where(norm > 0, norm, torch.ones_like(norm)) for norm in norms)
+    X, y = (matrix / scale).cpu().numpy(), (targets / size).cpu().numpy()
+    found = []
+    for penalty in candidates:
+        path = Lasso(alpha=max(penalty, 1e-12) / features, fit_intercept=False, max_iter=20000, tol=1e-8)
+        coefficients = torch.as_tensor(np.atleast_2d(path.fit(X, y).coef_), dtype=matrix.dtype, device=matrix.device)
+        found.append(coefficients / scale * size[:, None])
+    return found
+
+
+PENALTIES = {"ridge": lambda *problem: ridge_solutions(*problem), "lasso": lasso_solutions}
 
 
 def gather(regressions: dict[str, StreamedRegression]) -> dict[str, StreamedRegression]:
@@ -143,16 +164,30 @@ def _triangle(matrix: Tensor) -> Tensor:
     return torch.linalg.qr(matrix, mode="r").R
 
 
-def _ridge_solution(factor: Factor, features: int, ridge: float) -> tuple[Tensor, float, int]:
-    triangle, projected = factor.triangle[:features, :features], factor.triangle[:features, features:]
+def ridge_solutions(factor: Factor, features: int, candidates: Sequence[float]) -> list[Tensor]:
+    """Coefficients (targets, features) for each ridge λ, from one singular value decomposition."""
+    scale, left, values, right = _scaled_svd(factor, features)
+    kept = values > values[0] * 1e-14 * max(factor.rows, features) ** 0.5
+    projected = left.T @ factor.triangle[:features, features:]
+    found = []
+    for ridge in candidates:
+        weights = torch.where(kept, values / (values**2 + ridge), torch.zeros_like(values))
+        found.append(((right.T @ (weights[:, None] * projected)) / scale[:, None]).T.contiguous())
+    return found
+
+
+def _conditioning(factor: Factor, features: int) -> tuple[float, int]:
+    """Condition number and rank of the features scaled to unit norm."""
+    values = _scaled_svd(factor, features)[2]
+    kept = values > values[0] * 1e-14 * max(factor.rows, features) ** 0.5
+    return float(values[0] / values[-1]) if values[-1] > 0 else float("inf"), int(kept.sum())
+
+
+def _scaled_svd(factor: Factor, features: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    triangle = factor.triangle[:features, :features]
     scale = torch.linalg.vector_norm(triangle, dim=0)
     scale = torch.where(scale > 0, scale, torch.ones_like(scale))
-    left, values, right = torch.linalg.svd(triangle / scale, full_matrices=False)
-    kept = values > values[0] * 1e-14 * max(factor.rows, features) ** 0.5
-    weights = torch.where(kept, values / (values**2 + ridge), torch.zeros_like(values))
-    coefficients = (right.T @ (weights[:, None] * (left.T @ projected))) / scale[:, None]
-    condition = float(values[0] / values[-1]) if values[-1] > 0 else float("inf")
-    return coefficients.T.contiguous(), condition, int(kept.sum())
+    return scale, *torch.linalg.svd(triangle / scale, full_matrices=False)
 
 
 def _squared_error(factor: Factor, features: int, coefficients: Tensor) -> tuple[float, float]:

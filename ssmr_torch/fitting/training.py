@@ -18,9 +18,11 @@ from ssmr_torch.fitting.control_augmented_least_squares import ControlAugmentedL
 from ssmr_torch.fitting.diagnosis import diagnose
 from ssmr_torch.fitting.dimension import choose_dimension
 from ssmr_torch.fitting.fit import LeastSquaresFit, ModelFit
+from ssmr_torch.fitting.koopman_least_squares import KoopmanLeastSquares
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.models.base import ReducedModel
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
+from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.trajectory import TrajectoryDataset
 
@@ -60,6 +62,12 @@ def control_augmented_least_squares(model: ControlAugmentedSSMR, *, ridge=0.0, f
     return LeastSquaresFit(ControlAugmentedLeastSquares(model, **options), ridge, folds)
 
 
+def koopman_least_squares(model: Koopman, *, ridge=0.0, folds: int = 5, penalty: str = "ridge",
+                          kinds: tuple[str, ...] = ("decay", "controlled")) -> LeastSquaresFit:
+    """Closed-form fit of a Koopman model; kinds as in `KoopmanLeastSquares`, the rest as in `LeastSquaresFit`."""
+    return LeastSquaresFit(KoopmanLeastSquares(model, kinds=kinds), ridge, folds, penalty)
+
+
 def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
           fits: Mapping[str, Callable[..., ModelFit]], module: Callable[..., TrajectoryDataModule],
           trainer: Callable[..., lightning.Trainer], directory: str | Path, name: str = "SSMR",
@@ -67,7 +75,7 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
     """Fit one model by each of `fits` in turn, score it, and say what the fit found.
 
     name: of the model, in tables and figures. model: constructor that still misses input_dim, output_dim and
-    timestep, which the data give; its state_dim is a number or a rule of `choose_dimension`.
+    timestep, which the data give; its state_dim, if it takes one, is a number or a rule of `choose_dimension`.
     Checkpoints go to directory/checkpoints/FIT, of a refinement the best by validation error, of a closed form the
     last; a refinement that does not lower the validation error is undone. The fitted model goes to
     directory/model.ckpt. resume: continue from the checkpoints already there. origin: provenance of this training,
@@ -76,11 +84,7 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
     """
     directory = Path(directory)
     prepared = module(dataset=dataset)
-    decays = [run for run in prepared.training if run.kind == "decay"] or list(prepared.training)
-    state_dim = choose_dimension(model.keywords["state_dim"], decays, signature(model).parameters["delays"].default,
-                                 prepared.transient)
-    reduced = model(state_dim=state_dim, input_dim=dataset.input_dim, output_dim=dataset.output_dim,
-                    timestep=dataset.timestep)
+    reduced = _sized(model, dataset, prepared)
     card = data_card(dataset, prepared.training) | {"name": name, "training": origin or {}}
     if resume:
         check_resumable(directory / "checkpoints", tuple(fits), card["training"])
@@ -93,6 +97,18 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
         report[step]["warnings"] += [undone] if undone else []
     checkpoint = save_model(directory / "model.ckpt", reduced, card | {"scores": scores})
     return Training(reduced, checkpoint, scores, report)
+
+
+def _sized(model: Callable[..., ReducedModel], dataset: TrajectoryDataset,
+           module: TrajectoryDataModule) -> ReducedModel:
+    """The model with what the data give; its own timestep, where it names one, and no state_dim where none is asked."""
+    given = {"input_dim": dataset.input_dim, "output_dim": dataset.output_dim,
+             "timestep": model.keywords.get("timestep") or dataset.timestep}
+    if "state_dim" in model.keywords:
+        decays = [run for run in module.training if run.kind == "decay"] or list(module.training)
+        given["state_dim"] = choose_dimension(model.keywords["state_dim"], decays,
+                                              signature(model).parameters["delays"].default, module.transient)
+    return model(**given)
 
 
 def data_card(dataset: TrajectoryDataset, training: tuple) -> dict:

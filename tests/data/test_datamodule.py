@@ -28,8 +28,9 @@ def module(data=None, **options):
     return TrajectoryDataModule(data or dataset(), **{"validation_horizon": 0.1, "rollout_horizon": 0.08} | options)
 
 
-CLOSED_FORM = SimpleNamespace(model=SimpleNamespace(delays=2), procedure=SimpleNamespace(before=5, after=3))
-GRADIENT = SimpleNamespace(model=SimpleNamespace(delays=2))
+CLOSED_FORM = SimpleNamespace(model=SimpleNamespace(delays=2, timestep=TIMESTEP),
+                              procedure=SimpleNamespace(before=5, after=3))
+GRADIENT = SimpleNamespace(model=SimpleNamespace(delays=2, timestep=TIMESTEP))
 
 
 @pytest.mark.parametrize("share", [0.1, 0.25])

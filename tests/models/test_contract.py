@@ -9,6 +9,7 @@ import torch
 from ssmr_torch import artifact
 from ssmr_torch.models.base import DIVERGENCE_FACTOR, ContinuousTimeModel
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
+from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.models.ssmr import SSMR
 
 
@@ -44,7 +45,24 @@ def random_control_augmented(**options):
     return model
 
 
+def random_koopman(**options):
+    """A stable lifted model with a known scale."""
+    model = Koopman(4, 3, base_timestep=0.01, timestep=0.02, window_timestep=0.01, **options)
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for table in model.parameters():
+            table.copy_(0.3 / model.state_dim * torch.randn(table.shape, generator=generator, dtype=torch.float64))
+        model.A += 0.9 * torch.eye(model.state_dim, dtype=torch.float64)
+        model.scale.copy_(0.5 + torch.rand(model.scale.shape, generator=generator, dtype=torch.float64))
+        model.state_scale.fill_(1.0)
+    return model
+
+
 MODELS = {
+    "DMD": lambda: random_koopman(),
+    "EDMD": lambda: random_koopman(degree=2),
+    "EDMD, bilinear": lambda: random_koopman(degree=2, bilinear=True, delays=2),
+    "Koopman static pregain": lambda: random_koopman(input_delays=0, constant=False, pregain=True),
     "control-augmented": lambda: random_control_augmented(delays=2, parametrization_degree=2),
     "control-augmented, cubic, affine in the input": lambda: random_control_augmented(
         delays=3, dynamics_degree=3, input_degree=1),

@@ -1,0 +1,150 @@
+"""Koopman models in closed form: scale, transition of the lifted state, and static pregain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor, nn
+
+from ssmr_torch.data.windows import Segment, delay_windows
+from ssmr_torch.fitting.ssmr_least_squares import Regression
+from ssmr_torch.fitting.statistics import Solution
+from ssmr_torch.models.koopman import Koopman
+
+
+class KoopmanLeastSquares(nn.Module):
+    """The regressions of a `Koopman` model, one pass over the data each.
+
+    scale: the root mean square of each observable, by which ζ is divided; it conditions the regression and gives the
+        ridge one meaning for all, and changes no prediction of an unregularized fit beyond rounding.
+    transition: ψ(ζ_{k+1}) on [z, u, u ⊗ z], over all pairs a model step apart that lie within one run. Rows that are
+        known are set and not regressed: the constant, and in degree one the delayed copies of y and u.
+    pregain (if the model carries one): u on y over the set points, the last sample of each static run and the last
+        before each change of its input.
+
+    A model whose timestep is a multiple of the sampling time takes windows spaced by its own, from every phase, with
+    the mean of the inputs over the step, which for inputs held as long is the input itself.
+    kinds: of the runs that show the transition. Raises ValueError in `assign` where a stage found no rows.
+    """
+
+    names = ("scale", "transition", "pregain")
+
+    def __init__(self, model: Koopman, *, kinds: tuple[str, ...] = ("decay", "controlled")):
+        super().__init__()
+        unknown = [kind for kind in kinds if kind not in ("decay", "controlled", "static")]
+        if unknown or not kinds:
+            raise ValueError(f"kinds is {list(kinds)}; expected some of decay, controlled, static")
+        # not a submodule: the fit that holds this procedure also holds the model, and saves it once
+        self.__dict__["model"] = model
+        self.kinds = tuple(kinds)
+        self.stages = ("scale", "transition") + (("pregain",) if model.has_pregain else ())
+        self.takes_static = model.has_pregain or "static" in kinds
+        self.stride = 1
+
+    def sampled_every(self, timestep: float) -> None:
+        """Take the data's sampling time, s. Raises ValueError where the model's timestep is no whole multiple."""
+        ratio = self.model.base_timestep / timestep
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-3 * ratio:
+            raise ValueError(f"the model's timestep is {self.model.base_timestep:g} s, {ratio:.4g} times the data's "
+                             f"{timestep:g} s; expected a whole multiple")
+        self.stride = round(ratio)
+
+    @property
+    def before(self) -> int:
+        return self.model.delays * self.stride
+
+    @property
+    def after(self) -> int:
+        return self.stride
+
+    @torch.no_grad()
+    def regressions(self, segment: Segment, stage: str) -> dict[str, Regression]:
+        if stage == "pregain":
+            return self._pregain(segment) if segment.kind == "static" else {}
+        if segment.kind not in self.kinds or len(segment.observation) <= self.before + self.after:
+            return {}
+        first = self.before
+        windows, held = self.windows(segment)
+        observables = self.model.observables(windows, held)
+        if stage == "scale":
+            (rows,) = self._core(segment, first, observables)
+            return {"scale": Regression(rows, rows[:, :0])}
+        z = self.model.lifting(observables / self.model.scale)
+        now, following = z[:-self.stride], z[self.stride:]
+        u = self._held(segment.input)[first:first + len(now)]
+        now, u, following = self._core(segment, first, now, u, following)
+        return {"transition": Regression(self._regressors(now, u), following)}
+
+    @torch.no_grad()
+    def assign(self, stage: str, solutions: Mapping[str, Solution]) -> None:
+        """Put the solution of a stage in place. Raises ValueError when the data held no rows for it."""
+        if stage not in solutions:
+            kinds = ("static",) if stage == "pregain" else self.kinds
+            raise ValueError(f"the {stage} stage found no rows: the training data hold no {' or '.join(kinds)} runs; "
+                             "record some (excitation=static gives set points), or choose another model")
+        model, solution = self.model, solutions[stage]
+        if stage == "scale":
+            rms = torch.linalg.vector_norm(solution.factor.triangle, dim=0) / max(solution.rows, 1) ** 0.5
+            model.scale.copy_(torch.where(rms > 0, rms, torch.ones_like(rms)))
+        elif stage == "pregain":
+            model.pregain.copy_(solution.coefficients)
+        else:
+            self._assign_transition(solution.coefficients.clone())
+
+    def _assign_transition(self, coefficients: Tensor) -> None:
+        model, size, m = self.model, self.model.state_dim, self.model.input_dim
+        self._set_known_rows(coefficients)
+        model.A.copy_(coefficients[:, :size])
+        model.B.copy_(coefficients[:, size:size + m])
+        if model.bilinear:
+            model.N.copy_(coefficients[:, size + m:].unflatten(1, (m, size)).transpose(0, 1))
+
+    def _set_known_rows(self, coefficients: Tensor) -> None:
+        """The constant stays one; a delayed sample or input of the next step is one of this step."""
+        model, p, m, first = self.model, self.model.output_dim, self.model.input_dim, int(self.model.constant)
+        if first:
+            coefficients[0] = 0.0
+            coefficients[0, 0] = 1.0
+        scale, outputs = model.scale, (model.delays + 1) * p
+        for row in range(p, len(scale)):
+            newest_input = outputs <= row < outputs + m
+            source = row - (p if row < outputs else m)
+            coefficients[first + row] = 0.0
+            if newest_input:
+                coefficients[first + row, model.state_dim + row - outputs] = 1 / scale[row]
+            else:
+                coefficients[first + row, first + source] = scale[source] / scale[row]
+
+    def _regressors(self, z: Tensor, u: Tensor) -> Tensor:
+        parts = [z, u]
+        if self.model.bilinear:
+            parts.append((u[:, :, None] * z[:, None, :]).flatten(1))
+        return torch.cat(parts, dim=1)
+
+    def windows(self, segment: Segment) -> tuple[Tensor, Tensor]:
+        """Windows spaced by the model's step, and the inputs held within them, oldest first."""
+        delays, reach = self.model.delays, self.before
+        windows = delay_windows(segment.observation, reach)[:, ::self.stride]
+        held = windows.new_zeros(len(windows), 0, self.model.input_dim)
+        if delays:
+            held = delay_windows(self._held(segment.input)[:len(windows) + reach - self.stride],
+                                 reach - self.stride)[:, ::self.stride]
+        return windows, held
+
+    def _held(self, inputs: Tensor) -> Tensor:
+        """Mean of the inputs over a step from each sample, (L - stride + 1, m)."""
+        return delay_windows(inputs, self.stride - 1).mean(1)
+
+    def _core(self, segment: Segment, first: int, *arrays: Tensor) -> tuple[Tensor, ...]:
+        return tuple(segment.core_rows(array, first) for array in arrays)
+
+    @staticmethod
+    def _pregain(segment: Segment) -> dict[str, Regression]:
+        """Set points: samples of the core after which the input changes or the run ends."""
+        changes = (segment.input[1:] != segment.input[:-1]).any(1)
+        settled = torch.zeros(len(segment.input), dtype=torch.bool, device=changes.device)
+        settled[:-1], settled[-1] = changes, True
+        settled[:segment.core[0]] = False
+        settled[segment.core[1]:] = False
+        return {"pregain": Regression(segment.observation[settled], segment.input[settled])} if settled.any() else {}
