@@ -16,26 +16,35 @@ from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 class ControlAugmentedLeastSquares(nn.Module):
     """The regressions of a `ControlAugmentedSSMR`, one-step pairs of decays and controlled runs alike:
 
-    tangent_space: SVD of the windows [ŷ] of the decays (manifold_data "decays") or of all runs ("all"); the chart is
-        the n leading directions, blind to the inputs until it is refined.
+    coordinates: with chart "tangent_space", SVD of the windows ŷ of the decays (manifold_data "decays") or of all
+        runs ("all"): the chart is the n leading directions, blind to the inputs until it is refined. With chart
+        "predictive", the outputs of the next `future` samples are regressed on [ŷ, û] and the inputs that act
+        meanwhile; what the past explains of them, a projection along the future inputs, has n leading directions
+        [subspace identification: Van Overschee and De Moor 1994]. It takes the inputs' part out of the window, and
+        serves few outputs with many delays, where variance says little about what matters later.
     dynamics: (z⁺ - z) / h on (z, u)^{1:n_r};   parametrization: y on z^{1:n_w}.
-    Raises ValueError for another manifold_data, for a window with fewer values than n, and in `assign` where a stage
-    found no rows.
+    Raises ValueError for another chart or manifold_data, for a window with fewer values than n, and in `assign` where a
+    stage found no rows.
     """
 
-    stages = ("tangent_space", "dynamics")
-    names = ("tangent_space", "dynamics", "parametrization")
+    stages = ("coordinates", "dynamics")
+    names = ("coordinates", "dynamics", "parametrization")
 
-    def __init__(self, model: ControlAugmentedSSMR, *, manifold_data: str = "decays"):
+    def __init__(self, model: ControlAugmentedSSMR, *, chart: str = "tangent_space", future: int = 30,
+                 manifold_data: str = "decays"):
         super().__init__()
-        if manifold_data not in ("decays", "all"):
-            raise ValueError(f"manifold_data is {manifold_data!r}; expected one of ('decays', 'all')")
+        for name, value, options in (("manifold_data", manifold_data, ("decays", "all")),
+                                     ("chart", chart, ("tangent_space", "predictive"))):
+            if value not in options:
+                raise ValueError(f"{name} is {value!r}; expected one of {options}")
+        if future < 1:
+            raise ValueError(f"future is {future} samples; expected 1 or more")
         if model.window_dim < model.state_dim:
             raise ValueError(f"the window holds {model.window_dim} values, fewer than the {model.state_dim} reduced "
                              "coordinates that its singular vectors must give; use more delays or a smaller state_dim")
         # not a submodule: the fit that holds this procedure also holds the model, and saves it once
         self.__dict__["model"] = model
-        self.manifold_data = manifold_data
+        self.predictive, self.future, self.manifold_data = chart == "predictive", int(future), manifold_data
         self.register_buffer("singular_values", torch.zeros(model.window_dim, dtype=torch.float64))
 
     @property
@@ -44,43 +53,71 @@ class ControlAugmentedLeastSquares(nn.Module):
 
     @property
     def after(self) -> int:
-        return 1
+        return self.future if self.predictive else 1
 
     @torch.no_grad()
     def regressions(self, segment: Segment, stage: str) -> dict[str, Regression]:
-        if stage == "tangent_space":
-            if segment.kind != "decay" and self.manifold_data == "decays":
-                return {}
-            (rows,) = self._core(segment, delay_windows(segment.observation, self.model.delays).flatten(1))
-            return {"tangent_space": Regression(rows, rows[:, :0])}
         model, delays = self.model, self.model.delays
         windows = delay_windows(segment.observation, delays)
         held = windows.new_zeros(len(windows), 0, model.input_dim)
         if delays:
             held = delay_windows(segment.input[:-1], delays - 1)
+        if stage == "coordinates":
+            return self._coordinates(segment, windows, held)
         z = model.encode(windows, held)
         u, y = segment.input[delays:-1], segment.observation[delays:-1]
         now, rate, u, y = self._core(segment, z[:-1], (z[1:] - z[:-1]) / model.base_timestep, u, y)
         return {"dynamics": Regression(model.dynamics_regressors(now, u), rate),
                 "parametrization": Regression(model.parametrization_features(now), y)}
 
+    def _coordinates(self, segment: Segment, windows: Tensor, held: Tensor) -> dict[str, Regression]:
+        if not self.predictive:
+            if segment.kind != "decay" and self.manifold_data == "decays":
+                return {}
+            (rows,) = self._core(segment, windows.flatten(1))
+            return {"coordinates": Regression(rows, rows[:, :0])}
+        delays, future = self.model.delays, self.future
+        if len(windows) <= future:
+            return {}
+        past = self.model.chart_regressors(windows, held)[:-future]
+        inputs = delay_windows(segment.input[delays:-1], future - 1).flatten(1)
+        outputs = delay_windows(segment.observation[delays:], future).flatten(1)
+        past, inputs, outputs = self._core(segment, past, inputs, outputs)
+        return {"coordinates": Regression(torch.cat([past, inputs], dim=1), outputs)}
+
     @torch.no_grad()
     def assign(self, stage: str, solutions: Mapping[str, Solution]) -> None:
         """Put the solutions of a stage in place. Raises ValueError when the data held no rows for it."""
-        needed = self.names[:1] if stage == "tangent_space" else self.names[1:]
+        needed = self.names[:1] if stage == "coordinates" else self.names[1:]
         missing = [name for name in needed if name not in solutions]
         if missing:
-            raise ValueError(f"the {stage} stage found no rows for {missing}: the training data hold no decays; record "
-                             "some, or use manifold_data=all")
+            raise ValueError(f"the {stage} stage found no rows for {missing}: the training data hold no decays, or no "
+                             "run is long enough; record some, use manifold_data=all or a smaller future")
         model = self.model
-        if stage == "tangent_space":
-            values, vectors = singular_values(solutions["tangent_space"].factor)
-            self.singular_values.copy_(values)
-            model.chart.zero_()
-            model.chart[:, :model.window_dim] = vectors[:, :model.state_dim].T
+        if stage == "coordinates":
+            self._assign_coordinates(solutions["coordinates"])
         else:
             model.dynamics_table.copy_(solutions["dynamics"].coefficients)
             model.parametrization.copy_(solutions["parametrization"].coefficients)
+
+    def _assign_coordinates(self, solution: Solution) -> None:
+        model, n = self.model, self.model.state_dim
+        model.chart.zero_()
+        if not self.predictive:
+            values, vectors = singular_values(solution.factor)
+            self.singular_values.copy_(values)
+            model.chart[:, :model.window_dim] = vectors[:, :n].T
+            return
+        seen = model.chart.shape[1]
+        explained = solution.coefficients[:, :seen]
+        past = solution.factor.triangle[:seen, :seen]
+        _, values, directions = torch.linalg.svd(past @ explained.T, full_matrices=False)
+        count = min(len(values), len(self.singular_values))
+        self.singular_values[:count] = values[:count]
+        size = solution.rows ** 0.5 / values[:n].clamp_min(1e-300)
+        reach = torch.linalg.vector_norm(past[:, model.window_dim - model.output_dim:model.window_dim])
+        # every coordinate as large as the outputs, so that one range of states speaks for all
+        model.chart.copy_(size[:, None] * reach / solution.rows ** 0.5 * (directions[:n] @ explained))
 
     def _core(self, segment: Segment, *arrays: Tensor) -> tuple[Tensor, ...]:
         return tuple(segment.core_rows(array, self.model.delays) for array in arrays)

@@ -24,16 +24,18 @@ class LevenbergMarquardt(torch.optim.Optimizer):
 
     tables: views of what is changed; their entries, one table after the other, are the columns of J.
     products: precision of the products JᵀJ; single is twice as fast, and as g stays in double precision it moves no
-    minimum. acceptable: whether the present tables may be kept. λ falls by 5 after a step that lowers the cost and is
+    minimum. project: moves the tables into the set of those allowed, after each trial step and before its cost.
+    acceptable: whether the present tables may be kept. λ falls by 5 after a step that lowers the cost and is
     acceptable, and rises by 6 until one is; beyond `LARGEST_DAMPING` nothing is changed.
     `cost` and `gain`, the relative decrease (0 where nothing was changed), are those of the last step.
     """
 
     def __init__(self, parameters: Iterable[Tensor], tables: Sequence[Tensor], damping: float,
-                 acceptable: Callable[[], bool] = lambda: True, products: torch.dtype = torch.float64):
+                 project: Callable[[], object] = lambda: None, acceptable: Callable[[], bool] = lambda: True,
+                 products: torch.dtype = torch.float64):
         super().__init__(parameters, {})
         self.tables, self.damping, self.acceptable = list(tables), float(damping), acceptable
-        self.products = products
+        self.project, self.products = project, products
         self.cost, self.gain = float("inf"), 0.0
         size = sum(table.numel() for table in tables)
         self._normal = tables[0].new_zeros(size, size)
@@ -58,6 +60,7 @@ class LevenbergMarquardt(torch.optim.Optimizer):
             factor, failed = torch.linalg.cholesky_ex(normal)
             if not failed:
                 self._put(start + torch.cholesky_solve(gradient[:, None], factor)[:, 0] / scale)
+                self.project()
                 self.cost = closure()
                 if self.cost < before and self.acceptable():
                     self.damping = max(self.damping / 5, SMALLEST_DAMPING)
@@ -83,8 +86,9 @@ class GaussNewtonFit(ModelFit):
     Each epoch draws `starts` rollouts of `horizon` s from the training runs; residuals are taken at `samples`
     logarithmically spaced steps of each. trained: of "dynamics", "chart" (an oblique projection, learned: [Buurmeijer
     et al., Taming high-dimensional dynamics, 2025]) and "parametrization" (its newest sample's rows).
-    A step is refused unless the `StabilityGuard` (margin 1/s, reach) holds; where the model does not hold at the start,
-    it is made to. The fit ends after `epochs` steps, or when two in a row lower the cost by less than `tolerance`.
+    After a step, eigenvalues beyond the margin (1/s) of the `StabilityGuard` are moved back onto it, and a step is
+    refused where a training rollout then leaves its reach; a model that does not hold at the start is made to. The fit
+    ends after `epochs` steps, or when two in a row lower the cost by less than `tolerance`.
     Raises ValueError for models without coefficient tables or with more than 6,000 trained coefficients.
     """
 
@@ -111,6 +115,7 @@ class GaussNewtonFit(ModelFit):
 
     def configure_optimizers(self) -> LevenbergMarquardt:
         return LevenbergMarquardt(self.model.parameters(), coefficients(self.model, self.trained), self.damping,
+                                  project=lambda: self.guard.stabilize(self.model),
                                   acceptable=lambda: self.guard.holds(self.model), products=torch.float32)
 
     def on_fit_start(self) -> None:

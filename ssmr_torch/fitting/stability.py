@@ -84,11 +84,8 @@ class StabilityGuard:
         Eigenvalues beyond the margin are moved onto it, with their frequencies and eigenvectors kept. Then all terms
         beyond the linear ones are shrunk by the factor ½, ¼, …, 0, the largest for which no rollout diverges.
         """
-        found = {}
-        excess = self._excess(model)
-        if (excess > 1e-9).any():
-            self._stabilize(model)
-            found["eigenvalues moved"] = float((excess > 1e-9).sum())
+        moved = self.stabilize(model)
+        found = {"eigenvalues moved": float(moved)} if moved else {}
         if not self.diverges(model):
             return found
         tables = dynamics_tables(model)
@@ -108,18 +105,22 @@ class StabilityGuard:
             return torch.log((1 + h * eigenvalues).abs().clamp_min(1e-300)) / h + self.margin
         return eigenvalues.real + self.margin
 
-    def _stabilize(self, model) -> None:
-        linear = _linear_part(model)
-        eigenvalues, vectors = torch.linalg.eig(linear)
-        if isinstance(model, ControlAugmentedSSMR):
-            h = model.base_timestep
-            factors = 1 + h * eigenvalues
-            largest = torch.exp(torch.as_tensor(-self.margin * h))
-            factors = factors * torch.clamp(largest / factors.abs().clamp_min(1e-300), max=1.0)
-            moved = (factors - 1) / h
-        else:
-            moved = torch.complex(torch.clamp(eigenvalues.real, max=-self.margin), eigenvalues.imag)
-        linear.copy_(torch.linalg.solve(vectors.mT, (vectors * moved).mT).mT.real)
+    @torch.no_grad()
+    def stabilize(self, model: SSMR | ControlAugmentedSSMR) -> int:
+        """Move eigenvalues of the linear part beyond the margin onto it; how many there were."""
+        beyond = int((self._excess(model) > 1e-9).sum())
+        if beyond:
+            linear = _linear_part(model)
+            eigenvalues, vectors = torch.linalg.eig(linear)
+            if isinstance(model, ControlAugmentedSSMR):
+                h = model.base_timestep
+                factors = 1 + h * eigenvalues
+                largest = torch.exp(torch.as_tensor(-self.margin * h))
+                moved = (factors * torch.clamp(largest / factors.abs().clamp_min(1e-300), max=1.0) - 1) / h
+            else:
+                moved = torch.complex(torch.clamp(eigenvalues.real, max=-self.margin), eigenvalues.imag)
+            linear.copy_(torch.linalg.solve(vectors.mT, (vectors * moved).mT).mT.real)
+        return beyond
 
 
 class GuardFit(ModelFit):
