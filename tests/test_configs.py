@@ -13,6 +13,7 @@ from omegaconf import OmegaConf
 
 from ssmr_torch.data.derivatives import Stencil
 from ssmr_torch.fitting.fit import ModelFit
+from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.models.polynomial_tables import PolynomialTables
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.plants.base import Plant
@@ -167,7 +168,8 @@ def test_every_controller_takes_every_task(controller, task):
     assert isinstance(chosen, Task)
     build = instantiate(config.controller)
     assert isinstance(build, partial)
-    control = build(_tables(len(plant.output_names)), chosen, plant.input_bounds, timestep=plant.timestep,
+    tables = _pregain(len(plant.output_names)) if controller == "koopman_lqr" else _tables(len(plant.output_names))
+    control = build(tables, chosen, plant.input_bounds, timestep=plant.timestep,
                     output_names=plant.output_names)
     command = control(0.0, np.zeros(len(plant.output_names)))
     assert (command.input >= plant.input_bounds[0]).all() and (command.input <= plant.input_bounds[1]).all()
@@ -180,6 +182,15 @@ def _tables(outputs: int) -> PolynomialTables:
         built.chart.copy_(frame.T)
         built.parametrization.copy_(frame)
         built.drift_table.copy_(-torch.eye(6))
+        built.state_scale.fill_(0.05)
+    return built.tables()
+
+
+def _pregain(outputs: int):
+    built = Koopman(4, outputs, input_delays=0, constant=False, pregain=True)
+    with torch.no_grad():
+        built.A.copy_(0.9 * torch.eye(built.state_dim))
+        built.B[:, :] = 0.01
         built.state_scale.fill_(0.05)
     return built.tables()
 

@@ -43,3 +43,12 @@ class Controller(Protocol):
 
     def __call__(self, time: float, observation: np.ndarray) -> Command:
         """time in s; observation (p,): displacement from rest, m, before the returned input acts."""
+
+
+def whole_steps(name: str, time: float, timestep: float) -> int:
+    """How many measurements `timestep` s apart `time` s take. Raises ValueError when that is no whole number."""
+    ratio = time / timestep
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
+        raise ValueError(f"{name} is {time} s and the timestep of the measurements {timestep} s, "
+                         f"{ratio:.6g} times; expected a whole multiple: change one of the two")
+    return round(ratio)

@@ -6,7 +6,7 @@ from collections import Counter, deque
 
 import numpy as np
 
-from ssmr_torch.control.base import Command
+from ssmr_torch.control.base import Command, whole_steps
 from ssmr_torch.control.horizon import horizon_for
 from ssmr_torch.control.problem import INPUT_WEIGHT, OUTPUT_WEIGHT, TrackingProblem
 from ssmr_torch.control.qp import ProxQP
@@ -47,8 +47,8 @@ class ModelPredictiveController:
         self.model, self.task = model, task
         self.timestep = float(model.window_timestep if timestep is None else timestep)
         self.period = float(period)
-        self._samples_per_step = _multiple("period", period, self.timestep)
-        self._stride = _multiple("the model's window_timestep", model.window_timestep, self.timestep)
+        self._samples_per_step = whole_steps("period", period, self.timestep)
+        self._stride = whole_steps("the model's window_timestep", model.window_timestep, self.timestep)
         columns = task.columns(output_names)
         tracked = np.zeros(model.output_dim)
         if max(columns) >= model.output_dim:
@@ -179,11 +179,3 @@ class _Reference:
         reference = np.zeros((len(time), self.output_dim))
         reference[:, self.columns] = self.task.reference(time)
         return reference
-
-
-def _multiple(name: str, time: float, timestep: float) -> int:
-    ratio = time / timestep
-    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
-        raise ValueError(f"{name} is {time} s and the timestep of the measurements {timestep} s, "
-                         f"{ratio:.6g} times; expected a whole multiple: change one of the two")
-    return round(ratio)

@@ -20,7 +20,7 @@ class KoopmanLeastSquares(nn.Module):
         ridge one meaning for all, and changes no prediction of an unregularized fit beyond rounding.
     transition: ψ(ζ_{k+1}) on [z, u, u ⊗ z], over all pairs a model step apart that lie within one run. Rows that are
         known are set and not regressed: the constant, and in degree one the delayed copies of y and u.
-    pregain (if the model carries one): u on y over the set points, the last sample of each static run and the last
+    pregain (if the model carries one): u on [1, y] over the set points, the last sample of each static run and the last
         before each change of its input.
 
     A model whose timestep is a multiple of the sampling time takes windows spaced by its own, from every phase, with
@@ -147,4 +147,7 @@ class KoopmanLeastSquares(nn.Module):
         settled[:-1], settled[-1] = changes, True
         settled[:segment.core[0]] = False
         settled[segment.core[1]:] = False
-        return {"pregain": Regression(segment.observation[settled], segment.input[settled])} if settled.any() else {}
+        if not settled.any():
+            return {}
+        y = segment.observation[settled]
+        return {"pregain": Regression(torch.cat([torch.ones_like(y[:, :1]), y], dim=1), segment.input[settled])}

@@ -20,7 +20,7 @@ class Koopman(DiscreteTimeModel):
     with ψ all monomials of degree up to `degree`, the constant among them if `constant`. degree 1 is DMD with control
     and delays, degree 2 or more EDMD; bilinear adds the N_j [Bruder et al. 2021]. C reads the newest sample out of z,
     so that decode(encode(window)) is that sample. The state is propagated, never lifted again. pregain: whether the
-    model carries a static pregain G, u = G y at rest, for the controller of that name.
+    model carries a static pregain G, u = G [1, y] at rest, for the controller of that name.
 
     state_dim follows from the lifting. Raises ValueError for input_delays above `delays`, or a degree below 1.
     """
@@ -47,7 +47,7 @@ class Koopman(DiscreteTimeModel):
         size, m = self.state_dim, self.input_dim
         self.register_buffer("scale", torch.ones(observables, dtype=torch.float64))
         self.A, self.B, self.N = table(size, size), table(size, m), table(m if bilinear else 0, size, size)
-        self.register_buffer("pregain", torch.zeros(m if pregain else 0, self.output_dim, dtype=torch.float64))
+        self.register_buffer("pregain", torch.zeros(m if pregain else 0, 1 + self.output_dim, dtype=torch.float64))
 
     @property
     def arguments(self) -> dict:

@@ -17,7 +17,7 @@ class KoopmanTables(DiscreteTimeTables):
     z⁺ = A z + B u + Σ_j u_j N_j z,   y = output_scale · (the entries of z that hold y_k).
 
     scale ((n_d + 1) p + n_u m,), A (N, N), B (N, m), N (m, N, N) of the bilinear variant, else (0, N, N);
-    pregain G (m, p) of u = G y at rest, else (0, p): float64, SI.
+    pregain G (m, 1 + p) of u = G [1, y] at rest, else (0, 1 + p): float64, SI.
     """
 
     scale: np.ndarray

@@ -5,16 +5,35 @@ import pytest
 
 from ssmr_torch.closed_loop import simulate
 from ssmr_torch.control.base import Command, Controller
+from ssmr_torch.control.lqr import StaticPregainController
 from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.models.koopman_tables import KoopmanTables
 from ssmr_torch.tasks.references import figure_eight
 
 TASK = figure_eight(laps=1.0)
+SLOW = figure_eight(angular_speed=0.2, laps=0.3)
+
+
+def lifted(model):
+    """The linear part of an oscillator model as a Koopman model with the pregain of its own equilibria."""
+    A, B, _ = model.linearize(np.zeros(6), np.zeros(4))
+    static, common = np.linalg.solve(np.eye(6) - A, B)[:2], np.full(4, 0.3)
+    pregain = np.zeros((4, 7))
+    pregain[:, 1:3] = np.linalg.pinv(static)
+    pregain[:, 0] = common - np.linalg.pinv(static) @ static @ common
+    return KoopmanTables(scale=np.ones(6), A=A, B=B, N=np.zeros((0, 6, 6)), pregain=pregain, degree=1, input_delays=0,
+                         constant=False, state_scale=model.state_scale, input_dim=4, output_dim=6, delays=0,
+                         timestep=model.timestep, window_timestep=model.window_timestep, base_timestep=model.timestep)
+
+
 CONTROLLERS = {
     "predictive": lambda bench: ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS),
     "predictive, rate limited": lambda bench: ModelPredictiveController(
         bench.oscillators(), TASK, bench.BOUNDS, input_rate=5.0, horizon=3),
     "predictive, converged": lambda bench: ModelPredictiveController(
         bench.oscillators(), TASK, bench.BOUNDS, iterations=10, period=0.03),
+    "static pregain": lambda bench: StaticPregainController(lifted(bench.oscillators()), SLOW, bench.BOUNDS,
+                                                            input_weight=1e5),
 }
 
 
@@ -81,6 +100,6 @@ def test_read_only_and_single_precision_measurements_are_accepted(controller):
 
 
 def test_it_brings_the_plant_along_the_task(controller, bench):
-    record = simulate(bench.TablesPlant(bench.oscillators()), controller, TASK)
+    record = simulate(bench.TablesPlant(bench.oscillators()), controller, controller.task)
     assert np.abs(record.error).max() < 0.25 * np.abs(record.reference).max()
     assert not record.fallback.any()

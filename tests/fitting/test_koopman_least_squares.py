@@ -135,6 +135,7 @@ def test_the_pregain_is_the_ridge_solution_over_the_set_points(solve_stages, row
     solve_stages(KoopmanLeastSquares(model), [*pendulum_runs(), run], ridge={"pregain": 1e-3}, rows=rows_each)
     last = np.arange(14, 12 * 15, 15)
     y, u = np.asarray(run.observation)[last], np.asarray(run.input)[last]
+    y = np.hstack([np.ones((12, 1)), y])
     size = np.diag((y**2).sum(0))
     expected = np.linalg.solve(y.T @ y + 1e-3 * size, y.T @ u).T
     np.testing.assert_allclose(model.pregain.numpy(), expected, rtol=1e-9)

@@ -1,0 +1,112 @@
+"""Koopman static pregain: feedforward from set points, feedback by the linear-quadratic regulator."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from ssmr_torch.control.base import Command, whole_steps
+from ssmr_torch.control.problem import OUTPUT_WEIGHT
+from ssmr_torch.status import Status
+
+# of the states that no output shows; it keeps the Riccati equation solvable
+STATE_WEIGHT = 1e-6
+
+
+class StaticPregainController:
+    """u = G [1, ŷ] − K (z − ẑ), clipped to the bounds (paper, "Koopman static pregain"; Haggerty et al. 2023).
+
+    G: the model's pregain, u = G [1, y] at rest; cables pull only, so its constant is what they pull in common. ŷ:
+    reference now, ẑ: chart of the reference's own window. Outputs that the task does not prescribe are taken as
+    measured in both. K: gain of the linear-quadratic regulator for Σ ‖y‖²_Q + ‖u‖²_R of the model at the control
+    period: the stationary one, or with `horizon` N the first of the finite-horizon recursion over N steps.
+
+    model: NumPy `KoopmanTables` without bilinear terms, of degree one and with a pregain. task, input_bounds, timestep,
+    period, output_weight (1/m²), input_weight (1/N²), safe_input: as in `ModelPredictiveController`.
+    A measurement that is not finite, or that leads to an input that is not, gives safe_input; `fallbacks` counts it.
+    Raises ValueError for another model, or a period that is no multiple of the timestep.
+    """
+
+    def __init__(self, model, task, input_bounds, *, timestep: float | None = None, output_names=None,
+                 period: float = 0.02, output_weight: float = OUTPUT_WEIGHT, input_weight: float = 1e4,
+                 horizon: int | None = None, safe_input=None):
+        if not len(getattr(model, "pregain", ())) or len(model.N) or model.degree > 1 or model.constant:
+            raise ValueError("this controller takes a linear Koopman model with a pregain and no constant; train one "
+                             "with model=koopman_lqr on data with static runs")
+        self.timestep = float(model.window_timestep if timestep is None else timestep)
+        self.period = float(period)
+        self._samples_per_step = whole_steps("period", period, self.timestep)
+        self._stride = whole_steps("the model's window_timestep", model.window_timestep, self.timestep)
+        self.bounds = np.array(input_bounds, dtype=np.float64)
+        self.model, self.task, self.columns = model, task, list(task.columns(output_names))
+        weight = np.zeros(model.output_dim)
+        weight[self.columns] = output_weight
+        A, B, _ = model.at_timestep(period).linearize(np.zeros(model.state_dim), np.zeros(model.input_dim))
+        self.gain = regulator_gain(A, B, model.read_out.T @ (weight[:, None] * model.read_out),
+                                   input_weight * np.eye(model.input_dim), horizon)
+        safe = np.clip(0.0, *self.bounds) if safe_input is None else np.array(safe_input, dtype=np.float64)
+        if safe.shape != (model.input_dim,) or not ((self.bounds[0] <= safe) & (safe <= self.bounds[1])).all():
+            raise ValueError(f"safe_input is {safe.tolist()}; expected {model.input_dim} numbers between "
+                             f"{self.bounds[0].tolist()} and {self.bounds[1].tolist()}")
+        self.safe_input = safe
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget measurements and counts."""
+        length = self.model.delays * self._stride
+        self._observations, self._inputs = deque(maxlen=length + 1), deque(maxlen=length)
+        self._last_input, self._sample = self.safe_input, 0
+        self.fallbacks: Counter[Status] = Counter()
+
+    def __call__(self, time: float, observation: np.ndarray) -> Command:
+        """time in s; observation (p,), m. Raises ValueError for an observation of another size."""
+        observation = np.array(observation, dtype=np.float64)
+        if observation.shape != (self.model.output_dim,):
+            raise ValueError(f"the observation has shape {observation.shape}; expected ({self.model.output_dim},)")
+        if not self._observations:
+            self._observations.extend([observation] * self._observations.maxlen)
+            self._inputs.extend([self._last_input] * self._inputs.maxlen)
+        self._observations.append(observation)
+        due = self._sample % self._samples_per_step == 0
+        command = self._decide(time) if due else Command(self._last_input.copy(), held=True)
+        self._last_input = command.input.copy()
+        self._inputs.append(self._last_input)
+        self._sample += 1
+        return command
+
+    def _decide(self, time: float) -> Command:
+        model = self.model
+        window = np.stack(list(self._observations)[::self._stride])
+        held = np.stack(list(self._inputs)[::self._stride]) if model.delays else np.empty((0, model.input_dim))
+        wanted = window.copy()
+        ages = model.window_timestep * np.arange(model.delays, -1, -1)
+        wanted[:, self.columns] = self.task.reference(np.maximum(time - ages, 0.0))
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = model.encode(window, held) - model.encode(wanted, held)
+            intended = model.pregain @ np.r_[1.0, wanted[-1]] - self.gain @ error
+        if not np.isfinite(intended).all():
+            self.fallbacks[Status.NOT_FINITE] += 1
+            return Command(self.safe_input.copy(), fallback=Status.NOT_FINITE)
+        return Command(np.clip(intended, *self.bounds))
+
+
+def regulator_gain(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray,
+                   horizon: int | None = None) -> np.ndarray:
+    """K (m, n) of u = −K z, least Σ zᵀ Q z + uᵀ R u for z⁺ = A z + B u; over `horizon` steps, or without end.
+
+    Q gains a small multiple of the identity, so that states which no output shows do not make it singular.
+    Raises ValueError for a horizon below 1.
+    """
+    if horizon is not None and horizon < 1:
+        raise ValueError(f"horizon is {horizon}; expected 1 or more steps, or None for the stationary gain")
+    Q = Q + STATE_WEIGHT * max(np.abs(Q).max(), 1.0) * np.eye(len(A))
+    if horizon is None:
+        P = solve_discrete_are(A, B, Q, R)
+        return np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+    P = Q
+    for _ in range(horizon):
+        K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+        P = Q + A.T @ P @ (A - B @ K)
+    return K
