@@ -55,7 +55,7 @@ def save(directory: str | Path, model: ModelTables, *, output_names, input_names
     card = {"format": FORMAT, "kind": _kind_of(model), "name": name,
             "model": {scalar: getattr(model, scalar) for scalar in model.scalar_names()}
             | {"state_dim": model.state_dim},
-            "units": {"length": "m", "time": "s", "input": input_unit},
+            "geometry": model.geometry, "units": {"length": "m", "time": "s", "input": input_unit},
             "output_names": list(output_names), "input_names": list(input_names), "rest": rest.tolist(),
             "input_range": bounds.tolist(), "provenance": provenance or {},
             "scores": {key: value if np.isfinite(value) else None for key, value in (scores or {}).items()}}

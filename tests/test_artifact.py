@@ -48,6 +48,15 @@ def card_of(directory):
     return json.loads((directory / "card.json").read_text())
 
 
+def test_the_card_says_whether_the_manifold_is_curved(tmp_path):
+    said = {}
+    for name, model in MODELS.items():
+        artifact.save(tmp_path / "model", model, **DATA)
+        said[name] = card_of(tmp_path / "model")["geometry"]
+    assert said["curved"].endswith("p = 9 > n = 4, parametrization of degree 2: a curved manifold")
+    assert said["linear"].endswith("p = 9 > n = 4, parametrization of degree 1: a flat manifold")
+
+
 def rewrite(directory, change, file="tables.safetensors"):
     """Change arrays of a file and the card's hash of it: what a hash alone would not notice."""
     arrays = load_file(directory / file)

@@ -31,6 +31,17 @@ class PolynomialTables(ModelTables):
     control_degree: int
     substeps: int
 
+    @property
+    def geometry(self) -> str:
+        p, n = len(self.parametrization), self.state_dim
+        if p == n:
+            shape = f"p = n = {n}: the parametrization is linear, all nonlinearity sits in the dynamics"
+        elif self.parametrization_degree == 1:
+            shape = f"p = {p} > n = {n}, parametrization of degree 1: a flat manifold"
+        else:
+            shape = f"p = {p} > n = {n}, parametrization of degree {self.parametrization_degree}: a curved manifold"
+        return f"{super().geometry}; {shape}"
+
     @cached_property
     def chart_monomials(self) -> Monomials:
         return Monomials(self.parametrization.shape[0], 1, self.chart_degree)

@@ -47,6 +47,12 @@ class ModelTables(ABC):
         """n"""
         return len(self.state_scale)
 
+    @property
+    def geometry(self) -> str:
+        """What the model card says of the chart and the parametrization."""
+        return (f"{self.state_dim} states from windows of {self.delays + 1} samples of {self.output_dim} outputs, "
+                f"{self.window_timestep:g} s apart")
+
     @abstractmethod
     def encode(self, window: np.ndarray, inputs: np.ndarray) -> np.ndarray:
         """Chart z = v(window): (..., n_d + 1, p), inputs held between its samples (..., n_d, m) → (..., n)."""
