@@ -1,0 +1,99 @@
+"""Control-augmented SSMR in closed form, on systems whose answer is known."""
+
+import numpy as np
+import pytest
+import torch
+
+from ssmr_torch.fitting.control_augmented_least_squares import ControlAugmentedLeastSquares
+from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
+from ssmr_torch.trajectory import Trajectory
+
+H = 0.01
+A = np.array([[-1.0, 9.0], [-9.0, -2.0]])
+B = np.array([[0.4, -0.3], [0.2, 0.5]])
+
+
+def joint_map(z, u):
+    """z⁺ = z + h (A z + B u + terms in z₁², z₁ u₂ and u₁ u₂)."""
+    bend = np.array([-3 * z[0] ** 2, 2 * z[0] * u[1]]) + np.array([0.2, -0.1]) * u[0] * u[1]
+    return z + H * (A @ z + B @ u + bend)
+
+
+def linear_map(z, u):
+    return z + H * (A @ z + B @ u)
+
+
+def runs(step, read_out, count=4, length=200, decays=2):
+    found = []
+    for number in range(count + decays):
+        rng = np.random.default_rng(number)
+        kind = "decay" if number < decays else "controlled"
+        u = np.zeros((length, 2)) if kind == "decay" else rng.uniform(0, 1, (length, 2))
+        z, states = rng.uniform(-0.3, 0.3, 2), []
+        for k in range(length):
+            states.append(z)
+            z = step(z, u[k])
+        found.append(Trajectory(H * np.arange(length), np.array(states) @ read_out.T, u, kind))
+    return found
+
+
+def one_step_error(model, trajectories):
+    """Largest relative error of the next output from the window, over all samples."""
+    worst = 0.0
+    for run in trajectories:
+        y, u, d = torch.from_numpy(np.array(run.observation)), torch.from_numpy(np.array(run.input)), model.delays
+        for k in range(d, len(y) - 1, 7):
+            z = model.encode(y[k - d:k + 1], u[k - d:k])
+            predicted = model.decode(model.step(z, u[k]))
+            worst = max(worst, float((predicted - y[k + 1]).norm() / y.norm(dim=1).max()))
+    return worst
+
+
+def test_a_joint_polynomial_map_of_state_and_input_is_recovered(solve_stages):
+    read_out = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 2))).Q
+    trajectories = runs(joint_map, read_out)
+    model = ControlAugmentedSSMR(2, 2, 3, 0, dynamics_degree=2, timestep=H)
+    solve_stages(ControlAugmentedLeastSquares(model), trajectories, rows=64)
+    assert one_step_error(model, trajectories) < 1e-10
+
+
+def test_without_products_of_inputs_the_same_map_is_not_recovered(solve_stages):
+    trajectories = runs(joint_map, np.eye(2))
+    model = ControlAugmentedSSMR(2, 2, 2, 0, dynamics_degree=2, input_degree=1, timestep=H)
+    solve_stages(ControlAugmentedLeastSquares(model), trajectories)
+    assert one_step_error(model, trajectories) > 1e-5
+
+
+@pytest.mark.parametrize("future", [1, 10])
+def test_a_predictive_chart_finds_the_state_behind_one_delayed_output(solve_stages, future):
+    """One output with two delays shows both states only through the inputs held meanwhile."""
+    trajectories = runs(linear_map, np.array([[1.0, 0.3]]))
+    errors = {}
+    for chart in ("tangent_space", "predictive"):
+        model = ControlAugmentedSSMR(2, 2, 1, 2, dynamics_degree=1, timestep=H)
+        options = {"future": future} if chart == "predictive" else {}
+        solve_stages(ControlAugmentedLeastSquares(model, chart=chart, **options), trajectories, rows=64)
+        errors[chart] = one_step_error(model, trajectories)
+    assert errors["predictive"] < 1e-8 < 1e-4 < errors["tangent_space"]
+
+
+def test_cutting_runs_into_segments_changes_nothing(solve_stages):
+    trajectories = runs(joint_map, np.eye(2))
+    tables = []
+    for rows in (37, 1024):
+        model = ControlAugmentedSSMR(2, 2, 2, 1, timestep=H)
+        solve_stages(ControlAugmentedLeastSquares(model, chart="predictive", future=5), trajectories, rows=rows)
+        tables.append(model.dynamics_table.abs().detach())
+    torch.testing.assert_close(*tables, rtol=1e-6, atol=1e-8)
+
+
+def test_impossible_options_and_missing_runs_are_refused(solve_stages):
+    model = ControlAugmentedSSMR(2, 2, 2, 1)
+    for options, message in (({"chart": "best"}, "chart is 'best'"), ({"manifold_data": "some"}, "manifold_data is"),
+                             ({"future": 0}, "future is 0 samples")):
+        with pytest.raises(ValueError, match=message):
+            ControlAugmentedLeastSquares(model, **options)
+    with pytest.raises(ValueError, match="window holds 2 values, fewer than the 3"):
+        ControlAugmentedLeastSquares(ControlAugmentedSSMR(3, 2, 1, 1))
+    with pytest.raises(ValueError, match="the training data hold no decays"):
+        solve_stages(ControlAugmentedLeastSquares(model), runs(linear_map, np.eye(2), decays=0))
