@@ -29,7 +29,7 @@ def main(config, directory):
         tables = model.tables()
     path = artifact.save(config.artifact, tables, name=config.name or card["name"], output_names=card["output_names"],
                          input_names=card["input_names"], rest=card["rest"], input_range=card["input_range"],
-                         input_unit=card["input_unit"], scores=card.get("scores"),
+                         input_unit=card["input_unit"], scores=card.get("scores"), cost=card.get("cost"),
                          provenance=provenance() | {"source": fingerprint(config.checkpoint or config.mat),
                                                     "training": card.get("training"), "data": card.get("data")})
     artifact.load(path)

@@ -36,7 +36,7 @@ def main(config, directory):
     for name, figure in training_figures(training.report, dataset.provenance.get("eigenvalues")).items():
         figures.save(figure, directory / f"{name}.svg")
     print(training.summary())
-    save_result(directory, {config.metric: training.scores.get(config.metric), **training.scores})
+    save_result(directory, {config.metric: training.scores.get(config.metric), **training.scores, **training.cost})
     return training.scores.get(config.metric)
 
 

@@ -41,11 +41,11 @@ class Artifact:
 
 def save(directory: str | Path, model: ModelTables, *, output_names, input_names, rest, input_range,
          input_unit: str = "N", name: str = "SSMR", provenance: dict | None = None,
-         scores: dict | None = None) -> Path:
+         scores: dict | None = None, cost: dict | None = None) -> Path:
     """Write the artifact aside and move it into place; an artifact already there is replaced whole.
 
     output_names (p,), input_names (m,), rest (p,) m, input_range (2, m): what the model was trained on.
-    scores: plain numbers; one that is not finite, of rollouts that diverge, is stored as null.
+    scores, cost: plain numbers; one that is not finite, of rollouts that diverge, is stored as null.
     Raises ValueError when these disagree with the model, a table is not finite, or the directory holds other files.
     """
     directory = Path(directory)
@@ -58,7 +58,8 @@ def save(directory: str | Path, model: ModelTables, *, output_names, input_names
             "geometry": model.geometry, "units": {"length": "m", "time": "s", "input": input_unit},
             "output_names": list(output_names), "input_names": list(input_names), "rest": rest.tolist(),
             "input_range": bounds.tolist(), "provenance": provenance or {},
-            "scores": {key: value if np.isfinite(value) else None for key, value in (scores or {}).items()}}
+            "scores": {key: value if np.isfinite(value) else None for key, value in (scores or {}).items()},
+            "cost": cost or {}}
     aside = directory.with_name(directory.name + ".part")
     shutil.rmtree(aside, ignore_errors=True)
     aside.mkdir(parents=True)

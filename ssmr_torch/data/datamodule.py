@@ -59,7 +59,7 @@ class TrajectoryDataModule(lightning.LightningDataModule):
             data = self._share(self._rollouts(self.training, self.drawn_horizon, None, self.transient))
             if self.drawn_starts and self.drawn_starts < len(data):
                 sampler = RandomSampler(data, num_samples=self.drawn_starts)
-                return DataLoader(data, self.batch_size, sampler=sampler, collate_fn=stack_rollouts,
+                return DataLoader(data, self.drawn_starts, sampler=sampler, collate_fn=stack_rollouts,
                                   num_workers=self.num_workers)
             return DataLoader(data, self.batch_size, shuffle=True, collate_fn=stack_rollouts,
                               drop_last=len(data) > self.batch_size, num_workers=self.num_workers)

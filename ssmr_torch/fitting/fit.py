@@ -16,12 +16,25 @@ from ssmr_torch.fitting.ssmr_least_squares import LeastSquaresModel
 from ssmr_torch.fitting.statistics import PENALTIES
 from ssmr_torch.models.base import ReducedModel
 
+SHORTER = {"50ms": 0.05, "200ms": 0.2}
+
 
 def rollout_errors(model: ReducedModel, batch: RolloutBatch) -> Tensor:
-    """Root mean square error over the horizon, √(mean_k ‖ŷ_k - y_k‖²), of each start, m; infinite where it diverged."""
+    """Root mean square errors over the first 1, …, H steps, √(mean_{k≤h} ‖ŷ_k - y_k‖²), of each start, (N, H) m.
+
+    Infinite from the step on at which a rollout diverged.
+    """
     rollout = model.rollout(model.encode(batch.window, batch.window_inputs), batch.inputs)
-    errors = (model.decode(rollout.states[..., 1:, :]) - batch.outputs).square().sum(-1).mean(-1).sqrt()
-    return torch.where(rollout.diverged_at <= batch.inputs.shape[-2], torch.inf, errors)
+    errors = running_rmse(model.decode(rollout.states[..., 1:, :]) - batch.outputs)
+    step = torch.arange(1, errors.shape[-1] + 1, device=errors.device)
+    return torch.where(step >= rollout.diverged_at[..., None], torch.inf, errors)
+
+
+def running_rmse(difference: Tensor) -> Tensor:
+    """√(mean_{k≤h} ‖e_k‖²) for h = 1 … H, (..., H, p) → (..., H)."""
+    squares = difference.square().sum(-1)
+    count = torch.arange(1, squares.shape[-1] + 1, device=squares.device)
+    return (squares.cumsum(-1) / count).sqrt()
 
 
 def description(model: ReducedModel) -> dict:
@@ -35,7 +48,9 @@ class ModelFit(lightning.LightningModule):
 
     card: plain values that travel with the checkpoint (names, units, rest, bounds of the data).
     validation/rmse, test/rmse: mean over seeded starts of the open-loop error over the horizon, m (infinite when a
-    start diverges, which …/diverged counts); …/rmse_median: their median.
+    start diverges, which …/diverged counts); …/rmse_median: their median; …/rmse_50ms and …/rmse_200ms: the mean over
+    the first part of the same rollouts; …/relative: geometric mean over these horizons of the error divided by that of
+    persistence, ŷ_k = y_0, in which short and long horizons count alike.
     selects: whether the fit keeps its best epoch by validation error, and is undone where none is better than its
     start; otherwise its last epoch is kept.
     """
@@ -61,8 +76,17 @@ class ModelFit(lightning.LightningModule):
         self._score(batch, "test")
 
     def _score(self, batch: RolloutBatch, split: str) -> None:
-        errors = rollout_errors(self.model, batch)
+        running = rollout_errors(self.model, batch)
+        still = running_rmse(batch.window[..., -1:, :] - batch.outputs)
+        errors, horizon = running[..., -1], running.shape[-1]
         values = {"rmse": errors.mean(), "rmse_median": errors.median(), "diverged": errors.isinf().double().mean()}
+        ratios = [errors.mean() / still[..., -1].mean()]
+        for label, seconds in SHORTER.items():
+            steps = max(round(seconds / self.model.timestep), 1)
+            if steps < horizon:
+                values[f"rmse_{label}"] = running[..., steps - 1].mean()
+                ratios.append(values[f"rmse_{label}"] / still[..., steps - 1].mean())
+        values["relative"] = torch.stack(ratios).log().mean().exp()
         self.log_dict({f"{split}/{name}": value for name, value in values.items()}, batch_size=len(errors),
                       prog_bar=split == "validation")
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from inspect import signature
 from pathlib import Path
+from time import perf_counter
 
 import lightning
 import numpy as np
@@ -29,11 +30,15 @@ from ssmr_torch.trajectory import TrajectoryDataset
 
 @dataclass(frozen=True)
 class Training:
-    """A fitted model, its checkpoint, the scores of validation and test (m), and the report of each fit."""
+    """A fitted model, its checkpoint, the scores of validation and test (m), its cost, and the report of each fit.
+
+    cost: see `cost_of`.
+    """
 
     model: ReducedModel
     checkpoint: Path
     scores: dict[str, float]
+    cost: dict[str, float]
     report: dict[str, dict]
 
     def summary(self) -> str:
@@ -47,6 +52,7 @@ class Training:
             lines += [f"{fit}: diverged training rollouts: " + ", ".join(
                 f"{kind} {100 * share:.3g} %" for kind, share in report["diverged"].items())]
             lines += [f"look here: {warning}" for warning in report["warnings"]]
+        lines.append("cost: " + ", ".join(f"{name} {value:.4g}" for name, value in self.cost.items()))
         return "\n".join([*lines, f"checkpoint: {self.checkpoint}"])
 
 
@@ -88,15 +94,33 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
     card = data_card(dataset, prepared.training) | {"name": name, "training": origin or {}}
     if resume:
         check_resumable(directory / "checkpoints", tuple(fits), card["training"])
-    scores, report = {}, {}
+    scores, report, begun = {}, {}, perf_counter()
     for step, build in fits.items():
         fit = build(reduced)
         fit.card = card
         scores, undone = _run(fit, prepared.prepare(fit), trainer, directory / "checkpoints" / step, loggers, resume)
         report[step] = diagnose(fit, prepared.training, prepared.transient)
         report[step]["warnings"] += [undone] if undone else []
-    checkpoint = save_model(directory / "model.ckpt", reduced, card | {"scores": scores})
-    return Training(reduced, checkpoint, scores, report)
+    cost = cost_of(reduced, prepared) | {"fit_time": perf_counter() - begun}
+    checkpoint = save_model(directory / "model.ckpt", reduced, card | {"scores": scores, "cost": cost})
+    return Training(reduced, checkpoint, scores, cost, report)
+
+
+def cost_of(model: ReducedModel, module: TrajectoryDataModule) -> dict[str, float]:
+    """What a model takes: state_dim, parameters (numbers in its tables that are not zero, scales and geometry aside),
+    decays, controlled_samples (of the training), and step_time, s, the median of a linearized step of its NumPy twin.
+    """
+    tables, z, u = model.tables(), np.zeros(model.state_dim), np.zeros(model.input_dim)
+    times = []
+    for _ in range(30):
+        start = perf_counter()
+        tables.linearize(z, u)
+        times.append(perf_counter() - start)
+    stored = [getattr(tables, name) for name in tables.array_names() if name not in ("state_scale", "scale")]
+    return {"state_dim": float(model.state_dim), "parameters": float(sum(np.count_nonzero(table) for table in stored)),
+            "decays": float(sum(run.kind == "decay" for run in module.training)),
+            "controlled_samples": float(sum(run.length for run in module.training if run.kind == "controlled")),
+            "step_time": float(np.median(times))}
 
 
 def _sized(model: Callable[..., ReducedModel], dataset: TrajectoryDataset,
