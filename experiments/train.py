@@ -33,7 +33,8 @@ def main(config, directory):
             logger.finalize("success")
             getattr(logger.experiment, "finish", lambda: None)()
     save_json(directory / "report.json", training.report | {"scores": training.scores, "provenance": origin})
-    for name, figure in training_figures(training.report, dataset.provenance.get("eigenvalues")).items():
+    drawn = training_figures(training.report, dataset.provenance.get("eigenvalues")) if config.figures else {}
+    for name, figure in drawn.items():
         figures.save(figure, directory / f"{name}.svg")
     print(training.summary())
     save_result(directory, {config.metric: training.scores.get(config.metric), **training.scores, **training.cost})

@@ -21,11 +21,13 @@ from safetensors.numpy import load_file, save_file
 
 from ssmr_torch.models.control_augmented_tables import ControlAugmentedTables
 from ssmr_torch.models.koopman_tables import KoopmanTables
+from ssmr_torch.models.neural_tables import NeuralTables
 from ssmr_torch.models.polynomial_tables import PolynomialTables
 from ssmr_torch.models.tables import ModelTables
+from ssmr_torch.models.tpwl_tables import TPWLTables
 
 KINDS: dict[str, type[ModelTables]] = {"polynomial": PolynomialTables, "control-augmented": ControlAugmentedTables,
-                                     "koopman": KoopmanTables}
+                                     "koopman": KoopmanTables, "neural ODE": NeuralTables, "TPWL": TPWLTables}
 FORMAT = "ssmr_torch artifact 2"
 REPLAY_TOLERANCE = 1e-9
 _HASHED = ("tables.safetensors", "reference.safetensors")

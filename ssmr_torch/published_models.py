@@ -2,14 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import scipy.io
 from scipy.io.matlab import MatReadError
 
+from ssmr_torch.models.koopman_tables import KoopmanTables
 from ssmr_torch.models.monomials import Monomials, count_monomials
 from ssmr_torch.models.polynomial_tables import PolynomialTables
+from ssmr_torch.models.tables import ModelTables
+
+UNREADABLE = (KeyError, ValueError, TypeError, IndexError, OSError, NotImplementedError, MatReadError)
+
+
+def read_published_model(path: str | Path, *, output_names: Sequence[str], input_names: Sequence[str] | None = None,
+                         rest: Sequence[float] | None = None, length_unit: float = 1e-3, input_unit: float = 1.0,
+                         state_scale: float = 0.05) -> tuple[ModelTables, dict]:
+    """A published SSMR or Koopman model, whichever the file holds, and the card of an artifact.
+
+    output_names, input_names: of the robot; None names the inputs u1, u2, … rest: absolute position at rest, m, which a
+    Koopman model needs; an SSMR is about rest, and None then says 0. The inputs of an SSMR run from 0 to 1, those of a
+    Koopman model over the range that its file tells. Units and state_scale: as in `read_ssmr_model`.
+    Raises as `read_ssmr_model` and `read_koopman_model` do.
+    """
+    if "A" not in _stored(path).get("model", {}):
+        tables = read_ssmr_model(path, length_unit=length_unit, input_unit=input_unit, state_scale=state_scale)
+        kind, rest = "SSMR", [0.0] * tables.output_dim if rest is None else rest
+        bounds = np.array([np.zeros(tables.input_dim), np.full(tables.input_dim, input_unit)])
+    elif rest is None:
+        raise ValueError(f"{path} is a Koopman model of absolute positions; give rest, m, e.g. "
+                         "rest=[3.5888e-3,0.2934e-3,195.6144e-3] for the simulated trunk")
+    else:
+        tables = read_koopman_model(path, rest=rest, length_unit=length_unit, input_unit=input_unit)
+        kind, scale = "DMD", _stored(path)["params"]["scale"]
+        bounds = input_unit * (np.reshape(scale["u_offset"], -1) + [[-1.0], [1.0]] * np.reshape(scale["u_factor"], -1))
+    names = [f"u{j + 1}" for j in range(tables.input_dim)] if input_names is None else list(input_names)
+    return tables, {"name": f"{kind} (published)", "output_names": list(output_names), "input_names": names,
+                    "input_unit": "1" if input_unit == 1 else "N", "rest": list(rest), "input_range": bounds.tolist()}
 
 
 def read_ssmr_model(path: str | Path, *, length_unit: float = 1e-3, input_unit: float = 1.0,
@@ -23,10 +54,8 @@ def read_ssmr_model(path: str | Path, *, length_unit: float = 1e-3, input_unit: 
     Raises FileNotFoundError, or ValueError when the file is not such a model.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"no model file at {path}")
     try:
-        stored = scipy.io.loadmat(path, simplify_cells=True)["py_data"]
+        stored = _stored(path)
         model, params = stored["model"], stored["params"]
         w, v, r, B = (np.asarray(model[key], dtype=np.float64) for key in ("w_coeff", "v_coeff", "r_coeff", "B"))
         v, r = np.atleast_2d(v), np.atleast_2d(r)
@@ -34,7 +63,9 @@ def read_ssmr_model(path: str | Path, *, length_unit: float = 1e-3, input_unit: 
         w, B = (table[:, None] if table.ndim == 1 else table for table in (w, B))
         delays, outputs = int(params["delays"]), int(params["output_dim"])
         timestep = float(model["Ts"])
-    except (KeyError, ValueError, TypeError, IndexError, OSError, NotImplementedError, MatReadError) as error:
+    except FileNotFoundError:
+        raise
+    except UNREADABLE as error:
         raise ValueError(f"{path} is not an SSMR model: expected the struct py_data with model (w_coeff, v_coeff, "
                          f"r_coeff, B, Ts) and params (delays, output_dim); failed at {error}") from error
     n, window = len(r), len(w)

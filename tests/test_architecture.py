@@ -32,7 +32,7 @@ def importers(*libraries: str) -> set[str]:
 @pytest.mark.parametrize(("libraries", "rooms"), [
     (("lightning", "pytorch_lightning"), {"data/datamodule.py", "fitting/fit.py", "fitting/training.py"}),
     (("proxsuite", "qpsolvers"), {"control/qp.py"}),
-    (("matplotlib",), {"evaluation/figures.py", "evaluation/robot_figures.py"}),
+    (("matplotlib",), {"evaluation/figures.py", "evaluation/robot_figures.py", "evaluation/study_figures.py"}),
     (("jinja2",), {"evaluation/report.py"}),
     (("meshio",), {"plants/finite_element/mesh_files.py"}),
     (("fontTools",), {"tasks/symbols.py"}),

@@ -21,7 +21,8 @@ class StaticPregainController:
     G: the model's pregain, u = G [1, y] at rest; cables pull only, so its constant is what they pull in common. ŷ:
     reference now, ẑ: chart of the reference's own window. Outputs that the task does not prescribe are taken as
     measured in both. K: gain of the linear-quadratic regulator for Σ ‖y‖²_Q + ‖u‖²_R of the model at the control
-    period: the stationary one, or with `horizon` N the first of the finite-horizon recursion over N steps.
+    period: the stationary one, or with `horizon` N the first of the finite-horizon recursion over N steps; a constant
+    among the states, which is the same in z and ẑ, is left out of it.
 
     model: NumPy `KoopmanTables` without bilinear terms, of degree one and with a pregain. task, input_bounds, timestep,
     period, output_weight (1/m²), input_weight (1/N²), safe_input: as in `ModelPredictiveController`.
@@ -32,9 +33,9 @@ class StaticPregainController:
     def __init__(self, model, task, input_bounds, *, timestep: float | None = None, output_names=None,
                  period: float = 0.02, output_weight: float = OUTPUT_WEIGHT, input_weight: float = 1e4,
                  horizon: int | None = None, safe_input=None):
-        if not len(getattr(model, "pregain", ())) or len(model.N) or model.degree > 1 or model.constant:
-            raise ValueError("this controller takes a linear Koopman model with a pregain and no constant; train one "
-                             "with model=koopman_lqr on data with static runs")
+        if not len(getattr(model, "pregain", ())) or len(model.N) or model.degree > 1:
+            raise ValueError("this controller takes a linear Koopman model with a pregain; train one with "
+                             "model=koopman_lqr on data with static runs")
         self.timestep = float(model.window_timestep if timestep is None else timestep)
         self.period = float(period)
         self._samples_per_step = whole_steps("period", period, self.timestep)
@@ -44,8 +45,11 @@ class StaticPregainController:
         weight = np.zeros(model.output_dim)
         weight[self.columns] = output_weight
         A, B, _ = model.at_timestep(period).linearize(np.zeros(model.state_dim), np.zeros(model.input_dim))
-        self.gain = regulator_gain(A, B, model.read_out.T @ (weight[:, None] * model.read_out),
-                                   input_weight * np.eye(model.input_dim), horizon)
+        varying = slice(int(model.constant), None)
+        C = model.read_out[:, varying]
+        self.gain = np.zeros((model.input_dim, model.state_dim))
+        self.gain[:, varying] = regulator_gain(A[varying, varying], B[varying], C.T @ (weight[:, None] * C),
+                                               input_weight * np.eye(model.input_dim), horizon)
         safe = np.clip(0.0, *self.bounds) if safe_input is None else np.array(safe_input, dtype=np.float64)
         if safe.shape != (model.input_dim,) or not ((self.bounds[0] <= safe) & (safe <= self.bounds[1])).all():
             raise ValueError(f"safe_input is {safe.tolist()}; expected {model.input_dim} numbers between "

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import lightning
+import numpy as np
 from torch.utils.data import DataLoader, RandomSampler, Subset
 
-from ssmr_torch.data.windows import RolloutDataset, SegmentDataset, SegmentShare, stack_rollouts
+from ssmr_torch.data.windows import NoisyWindows, RolloutDataset, SegmentDataset, SegmentShare, stack_rollouts
 from ssmr_torch.trajectory import TrajectoryDataset
 
 
@@ -16,12 +19,18 @@ class TrajectoryDataModule(lightning.LightningDataModule):
     validation_share: tail of every controlled training run that is held out when no run is marked "validation".
     transient: s cut from the start of each training decay. rows: core samples per segment.
     rollout_horizon, validation_horizon: s. starts: seeded validation and test starts. batch_size: rollouts per step.
+    decays, controlled_duration: how many of the training decays, and how many s of the controlled training, from its
+    start, are used; None for all. noise_std: m, of seeded white noise on the training runs and on the windows that
+    validation and test predictions start from; what they are compared with stays as it is. score_test: whether the
+    test runs are looked at.
     Call `prepare(fit)` before training: it learns the delays and context that the fit needs.
     """
 
     def __init__(self, dataset: TrajectoryDataset, *, validation_share: float = 0.1, transient: float = 0.0,
                  rows: int = 1024, rollout_horizon: float = 0.4, validation_horizon: float = 1.0, starts: int = 500,
-                 batch_size: int = 64, stride: int = 5, seed: int = 0, num_workers: int = 0):
+                 batch_size: int = 64, stride: int = 5, seed: int = 0, num_workers: int = 0,
+                 decays: int | None = None, controlled_duration: float | None = None, noise_std: float = 0.0,
+                 score_test: bool = True):
         super().__init__()
         if not 0 <= validation_share < 1:
             raise ValueError(f"validation_share is {validation_share}; expected 0 ≤ share < 1")
@@ -32,8 +41,14 @@ class TrajectoryDataModule(lightning.LightningDataModule):
         self.transient, self.rows, self.starts = float(transient), int(rows), int(starts)
         self.rollout_horizon, self.validation_horizon = float(rollout_horizon), float(validation_horizon)
         self.batch_size, self.stride, self.seed, self.num_workers = batch_size, stride, seed, num_workers
-        self.training, self.validation = _hold_out(dataset, validation_share)
-        self.test = tuple(run for run in dataset.select(split="test") if run.kind != "static")
+        if not noise_std >= 0:
+            raise ValueError(f"noise_std is {noise_std} m; expected zero or more")
+        self.noise_std = float(noise_std)
+        training, self.validation = _hold_out(dataset, validation_share)
+        training = _limited(training, decays, controlled_duration)
+        self.training = tuple(_noisy(run, noise_std, (seed, number)) for number, run in enumerate(training))
+        test = dataset.select(split="test") if score_test else ()
+        self.test = tuple(run for run in test if run.kind != "static")
         self.static = dataset.select(split="train", kind="static")
         self.procedure, self.delays, self.sampling = None, 0, 1
         self.drawn_horizon, self.drawn_starts = self.rollout_horizon, None
@@ -81,6 +96,8 @@ class TrajectoryDataModule(lightning.LightningDataModule):
         if not trajectories:
             return []
         data = self._rollouts(trajectories, self.validation_horizon, self.starts, 0.0)
+        if self.noise_std:
+            data = NoisyWindows(data, self.noise_std, self.seed)
         return DataLoader(data, len(data), collate_fn=stack_rollouts, num_workers=self.num_workers)
 
     def _rollouts(self, trajectories: tuple, horizon: float, starts: int | None, transient: float) -> RolloutDataset:
@@ -101,6 +118,32 @@ class TrajectoryDataModule(lightning.LightningDataModule):
         # processes step together: one with a batch more than another would wait for it for ever
         even = len(data) - len(data) % trainer.world_size
         return Subset(data, range(trainer.global_rank, even, trainer.world_size))
+
+
+def _limited(training: tuple, decays: int | None, duration: float | None) -> tuple:
+    """The first `decays` decays, and runs of other kinds until `duration` s are reached."""
+    if (decays is not None and decays < 0) or (duration is not None and duration < 0):
+        raise ValueError(f"decays {decays} and controlled_duration {duration} s; expected zero or more, or null")
+    kept, counted, left = [], 0, float("inf") if duration is None else duration
+    for run in training:
+        if run.kind == "decay":
+            counted += 1
+            if decays is None or counted <= decays:
+                kept.append(run)
+            continue
+        samples = min(run.length, round(min(left, 1e9) / run.timestep))
+        left -= samples * run.timestep
+        if samples >= 2:
+            kept.append(run if samples == run.length else run.part(0, samples))
+    return tuple(kept)
+
+
+def _noisy(run, noise_std: float, seed: tuple[int, int]):
+    if not noise_std:
+        return run
+    whole = run.read()
+    noise = np.random.default_rng(seed).normal(0.0, noise_std, whole.observation.shape)
+    return replace(whole, observation=whole.observation + noise)
 
 
 def _hold_out(dataset: TrajectoryDataset, share: float) -> tuple[tuple, tuple]:

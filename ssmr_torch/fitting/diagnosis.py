@@ -85,7 +85,7 @@ def diagnose(fit, trajectories: Sequence, transient: float = 0.0) -> dict:
         report["singular_values"] = values.tolist()
         report["captured_variance"] = float(captured_variance(values)[model.state_dim - 1])
     report["repairs"] = getattr(fit, "repairs", {})
-    report["warnings"] = warnings(report, model)
+    report["warnings"] = warnings(report, model) + getattr(fit, "remarks", [])
     return report
 
 

@@ -11,7 +11,6 @@ from torch.utils.data import DistributedSampler
 
 from ssmr_torch.data.windows import RolloutBatch, Segment, delay_windows
 from ssmr_torch.fitting.exact import ExactSolve
-from ssmr_torch.fitting.scaled_adam import ScaledAdam, table_scales
 from ssmr_torch.fitting.ssmr_least_squares import LeastSquaresModel
 from ssmr_torch.fitting.statistics import PENALTIES
 from ssmr_torch.models.base import ReducedModel
@@ -181,51 +180,3 @@ class LeastSquaresFit(ModelFit):
 
     def on_load_checkpoint(self, checkpoint: dict) -> None:
         self.solutions = checkpoint["solutions"]
-
-
-class GradientFit(ModelFit):
-    """Refines a model by the multi-step rollout loss, mean_k ‖ŷ_k - y_k‖² / ‖y‖²_rms, from where it stands.
-
-    learning_rate: relative to the size of each coefficient's contribution, see `ScaledAdam`. frozen: names of
-    parameters that keep their values (the chart and the parametrization's geometry by default).
-    """
-
-    selects = True
-
-    def __init__(self, model: ReducedModel, *, epochs: int = 20, learning_rate: float = 3e-4,
-                 frozen: Sequence[str] = ("chart", "parametrization"), gradient_clip: float = 1.0):
-        super().__init__(model)
-        if epochs < 1 or not learning_rate > 0:
-            raise ValueError(f"epochs {epochs} and learning_rate {learning_rate}; both must be positive")
-        known = dict(model.named_parameters())
-        unknown = [name for name in frozen if name not in known]
-        if unknown:
-            raise ValueError(f"frozen names {unknown}, but the model's parameters are {sorted(known)}")
-        self.epochs, self.learning_rate, self.gradient_clip = int(epochs), float(learning_rate), gradient_clip
-        for name in frozen:
-            known[name].requires_grad_(False)
-        self.register_buffer("output_power", torch.zeros((), dtype=torch.float64))
-
-    def configure_optimizers(self):
-        trained = {name: p for name, p in self.model.named_parameters() if p.requires_grad}
-        scales = table_scales(self.model)
-        optimizer = ScaledAdam([{"params": [p], "scale": scales.get(name)} for name, p in trained.items()],
-                               lr=self.learning_rate)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, self.epochs)
-        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "epoch"}}
-
-    def training_step(self, batch: RolloutBatch, index: int) -> Tensor:
-        if self.output_power == 0:
-            self.output_power.copy_(batch.outputs.square().sum(-1).mean())
-        rollout = self.model.rollout(self.model.encode(batch.window, batch.window_inputs), batch.inputs)
-        error = (self.model.decode(rollout.states[..., 1:, :]) - batch.outputs).square().sum(-1).mean(-1)
-        loss = error.mean() / self.output_power
-        self.log("train/loss", loss, prog_bar=True, batch_size=len(error))
-        self.log("train/diverged", (rollout.diverged_at <= batch.inputs.shape[-2]).double().mean(),
-                 batch_size=len(error))
-        return loss
-
-    def configure_gradient_clipping(self, optimizer, gradient_clip_val=None, gradient_clip_algorithm=None) -> None:
-        """Clip the gradient of the scaled coefficients, whose sizes are comparable."""
-        optimizer = getattr(optimizer, "optimizer", optimizer)
-        optimizer.clip(self.gradient_clip)

@@ -12,14 +12,17 @@ from ssmr_torch.fitting.ssmr_least_squares import Regression
 from ssmr_torch.fitting.statistics import Solution
 from ssmr_torch.models.koopman import Koopman
 
+# of the largest input of a run
+SAME_INPUT = 1e-9
+
 
 class KoopmanLeastSquares(nn.Module):
     """The regressions of a `Koopman` model, one pass over the data each.
 
     scale: the root mean square of each observable, by which ζ is divided; it conditions the regression and gives the
         ridge one meaning for all, and changes no prediction of an unregularized fit beyond rounding.
-    transition: ψ(ζ_{k+1}) on [z, u, u ⊗ z], over all pairs a model step apart that lie within one run. Rows that are
-        known are set and not regressed: the constant, and in degree one the delayed copies of y and u.
+    transition: ψ(ζ_{k+1}) on [z, u, u ⊗ (z but its constant)], over all pairs a model step apart that lie within one
+        run. Rows that are known are set and not regressed: the constant, and in degree one the delayed copies of y, u.
     pregain (if the model carries one): u on [1, y] over the set points, the last sample of each static run and the last
         before each change of its input.
 
@@ -98,7 +101,9 @@ class KoopmanLeastSquares(nn.Module):
         model.A.copy_(coefficients[:, :size])
         model.B.copy_(coefficients[:, size:size + m])
         if model.bilinear:
-            model.N.copy_(coefficients[:, size + m:].unflatten(1, (m, size)).transpose(0, 1))
+            first = int(model.constant)
+            model.N.zero_()
+            model.N[:, :, first:] = coefficients[:, size + m:].unflatten(1, (m, size - first)).transpose(0, 1)
 
     def _set_known_rows(self, coefficients: Tensor) -> None:
         """The constant stays one; a delayed sample or input of the next step is one of this step."""
@@ -119,7 +124,8 @@ class KoopmanLeastSquares(nn.Module):
     def _regressors(self, z: Tensor, u: Tensor) -> Tensor:
         parts = [z, u]
         if self.model.bilinear:
-            parts.append((u[:, :, None] * z[:, None, :]).flatten(1))
+            # u times the constant is u, which B has
+            parts.append((u[:, :, None] * z[:, None, int(self.model.constant):]).flatten(1))
         return torch.cat(parts, dim=1)
 
     def windows(self, segment: Segment) -> tuple[Tensor, Tensor]:
@@ -142,7 +148,8 @@ class KoopmanLeastSquares(nn.Module):
     @staticmethod
     def _pregain(segment: Segment) -> dict[str, Regression]:
         """Set points: samples of the core after which the input changes or the run ends."""
-        changes = (segment.input[1:] != segment.input[:-1]).any(1)
+        # recorded inputs carry rounding, which is no change
+        changes = ((segment.input[1:] - segment.input[:-1]).abs() > SAME_INPUT * segment.input.abs().amax()).any(1)
         settled = torch.zeros(len(segment.input), dtype=torch.bool, device=changes.device)
         settled[:-1], settled[-1] = changes, True
         settled[:segment.core[0]] = False

@@ -15,10 +15,10 @@ class ScaledAdam(torch.optim.Adam):
     A cubic coefficient of dynamics in metres is a million times a linear one; a step of Adam has one size for all.
     """
 
-    def __init__(self, groups: list[dict], lr: float):
+    def __init__(self, groups: list[dict], lr: float, weight_decay: float = 0.0):
         groups = [{**group, "scale": torch.ones_like(group["params"][0]) if group["scale"] is None else group["scale"]}
                   for group in groups]
-        super().__init__(groups, lr=lr)
+        super().__init__(groups, lr=lr, weight_decay=weight_decay)
 
     def _scaled(self) -> list[tuple[Tensor, Tensor]]:
         return [(parameter, group["scale"]) for group in self.param_groups for parameter in group["params"]]

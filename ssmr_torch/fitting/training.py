@@ -20,10 +20,12 @@ from ssmr_torch.fitting.diagnosis import diagnose
 from ssmr_torch.fitting.dimension import choose_dimension
 from ssmr_torch.fitting.fit import LeastSquaresFit, ModelFit
 from ssmr_torch.fitting.koopman_least_squares import KoopmanLeastSquares
+from ssmr_torch.fitting.neural_ode_start import NeuralODEStart
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.models.base import ReducedModel
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.koopman import Koopman
+from ssmr_torch.models.neural_ode import NeuralODE
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.trajectory import TrajectoryDataset
 
@@ -72,6 +74,12 @@ def koopman_least_squares(model: Koopman, *, ridge=0.0, folds: int = 5, penalty:
                           kinds: tuple[str, ...] = ("decay", "controlled")) -> LeastSquaresFit:
     """Closed-form fit of a Koopman model; kinds as in `KoopmanLeastSquares`, the rest as in `LeastSquaresFit`."""
     return LeastSquaresFit(KoopmanLeastSquares(model, kinds=kinds), ridge, folds, penalty)
+
+
+def neural_ode_start(model: NeuralODE, *, ridge=0.0, folds: int = 5, derivative: Stencil | None = None,
+                     **options) -> LeastSquaresFit:
+    """Closed-form start of a neural ODE; options as in `SSMRLeastSquares`."""
+    return LeastSquaresFit(NeuralODEStart(model, derivative=derivative, **options), ridge, folds)
 
 
 def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],

@@ -13,7 +13,8 @@ import torch
 from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.data.windows import RolloutBatch
 from ssmr_torch.fitting import training as module
-from ssmr_torch.fitting.fit import GradientFit, ModelFit, rollout_errors
+from ssmr_torch.fitting.fit import ModelFit, rollout_errors
+from ssmr_torch.fitting.gradient_fit import GradientFit
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.fitting.training import least_squares, load_model, save_model, train
 from ssmr_torch.models.ssmr import SSMR

@@ -10,7 +10,9 @@ from ssmr_torch import artifact
 from ssmr_torch.models.base import DIVERGENCE_FACTOR, ContinuousTimeModel
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.koopman import Koopman
+from ssmr_torch.models.neural_ode import NeuralODE
 from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.models.tpwl import TPWL
 
 
 def random_ssmr(**options):
@@ -58,7 +60,41 @@ def random_koopman(**options):
     return model
 
 
+def random_neural_ode(**options):
+    """A network of order one beside slow linear dynamics; the parametrization reads the chart's newest sample back."""
+    torch.manual_seed(1)
+    model = NeuralODE(6, 4, 3, 1, timestep=0.02, window_timestep=0.01, **options)
+    with torch.no_grad():
+        for table in (model.last, model.linear, model.control):
+            table.copy_(0.3 * torch.randn(table.shape, dtype=torch.float64))
+        frame = torch.linalg.qr(torch.randn(6, 6, dtype=torch.float64)).Q
+        model.chart.copy_(frame.T)
+        model.parametrization.copy_(frame[-3:])
+        model.state_scale.copy_(1.0 + torch.arange(6) / 6)
+    return model
+
+
+def random_tpwl(**options):
+    """Stable maps at scattered points, and a filter that trusts its model and its measurements alike."""
+    model = TPWL(4, 3, 4, modes=3, points=5, base_timestep=0.01, timestep=0.02, window_timestep=0.01, **options)
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for table in (model.A, model.B, model.c, model.points, model.C, model.mean):
+            table.copy_(0.1 * torch.randn(table.shape, generator=generator, dtype=torch.float64))
+        model.A += 0.8 * torch.eye(6, dtype=torch.float64)
+        model.points *= 3.0
+        model.covariance.copy_(torch.eye(6, dtype=torch.float64))
+        model.process.copy_(0.1 * torch.eye(6, dtype=torch.float64))
+        model.measurement.copy_(0.1 * torch.eye(3, dtype=torch.float64))
+        model.state_scale.fill_(1.0)
+    return model
+
+
 MODELS = {
+    "TPWL": lambda: random_tpwl(),
+    "TPWL, blended": lambda: random_tpwl(width=0.3),
+    "neural ODE": lambda: random_neural_ode(width=16),
+    "neural ODE, three hidden layers": lambda: random_neural_ode(width=8, depth=3, substeps=2),
     "DMD": lambda: random_koopman(),
     "EDMD": lambda: random_koopman(degree=2),
     "EDMD, bilinear": lambda: random_koopman(degree=2, bilinear=True, delays=2),
@@ -120,6 +156,9 @@ def windows_on_the_manifold(model, z):
     inputs = torch.rand(len(z), model.delays, model.input_dim, dtype=torch.float64)
     if hasattr(model, "decode_window"):
         return model.decode_window(z), inputs
+    if isinstance(model, TPWL):  # what its filter expects: the model's own motion from the mean of its states
+        expected = model.at_timestep(model.window_timestep).rollout(model.mean.expand(len(z), -1), inputs).states
+        return model.decode(expected), inputs
     if isinstance(model, ControlAugmentedSSMR):  # the smallest window with chart z and newest sample w(z)
         newest = torch.eye(model.window_dim, dtype=torch.float64)[-model.output_dim:]
         seen = z - inputs.flatten(1) @ model.chart[:, model.window_dim:].T
