@@ -78,12 +78,12 @@ def diagnose(fit, trajectories: Sequence, transient: float = 0.0) -> dict:
         if isinstance(model, ControlAugmentedSSMR):
             eigenvalues = torch.log(1 + model.base_timestep * eigenvalues) / model.base_timestep
         report["eigenvalues"] = [[float(value.real), float(value.imag)] for value in eigenvalues]
-        report["window_dim"], report["state_dim"] = model.window_dim, model.state_dim
     singular = getattr(getattr(fit, "procedure", None), "singular_values", None)
     if singular is not None:
         values = singular.cpu().numpy()
         report["singular_values"] = values.tolist()
         report["captured_variance"] = float(captured_variance(values)[model.state_dim - 1])
+    report["window_dim"], report["state_dim"] = model.window_dim, model.state_dim
     report["repairs"] = getattr(fit, "repairs", {})
     report["warnings"] = warnings(report, model) + getattr(fit, "remarks", [])
     return report

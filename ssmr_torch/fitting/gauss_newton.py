@@ -96,7 +96,7 @@ class GaussNewtonFit(ModelFit):
 
     def __init__(self, model: ReducedModel, *, epochs: int = 15, starts: int = 400, horizon: float = 1.0,
                  samples: int = 10, trained: Sequence[str] = GROUPS, damping: float = 1e-2, tolerance: float = 0.01,
-                 margin: float = 0.05, reach: float = 3.0):
+                 margin: float = 0.05, reach: float = 3.0, overdrive: float = 1.25):
         super().__init__(model)
         if epochs < 1 or starts < 1 or samples < 1 or not (horizon > 0 and damping > 0 and tolerance >= 0):
             raise ValueError(f"epochs {epochs}, starts {starts}, samples {samples}, horizon {horizon} s, damping "
@@ -108,7 +108,7 @@ class GaussNewtonFit(ModelFit):
         self.automatic_optimization = False
         self.epochs, self.starts, self.horizon, self.samples = int(epochs), int(starts), float(horizon), int(samples)
         self.trained, self.damping, self.tolerance = tuple(trained), float(damping), float(tolerance)
-        self.margin, self.reach = float(margin), float(reach)
+        self.settings = {"margin": float(margin), "reach": float(reach), "overdrive": float(overdrive)}
         self.repairs: dict[str, float] = {}
         self._batches: list[RolloutBatch] = []
         self._last_gain = 1.0
@@ -124,7 +124,7 @@ class GaussNewtonFit(ModelFit):
             raise ValueError(f"{self.trainer.world_size} processes; a Gauss-Newton fit runs in one, use trainer=cpu or "
                              "trainer=gpu")
         module = self.trainer.datamodule
-        self.guard = StabilityGuard(module.training, transient=module.transient, margin=self.margin, reach=self.reach)
+        self.guard = StabilityGuard(module.training, transient=module.transient, **self.settings)
         self.repairs = self.guard.enforce(self.model)
         self._weights: Tensor | None = None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -23,7 +24,8 @@ class StabilityGuard:
     A model holds when (1) the linear part R₁ of its reduced dynamics is stable, Re λ ≤ −margin for every eigenvalue,
     |1 + h λ| ≤ e^{−margin h} in discrete time, and (2) no rollout of the training set, under its recorded inputs,
     leaves `reach` times the range of the training states: neither one over the full length of a trajectory nor one of
-    `horizon` s from any of `starts` seeded samples, which need not lie on the manifold.
+    `horizon` s from any of `starts` seeded samples, which need not lie on the manifold. All are repeated with the
+    recorded inputs multiplied by `overdrive`, for a controller asks for more than the training did.
 
     trajectories: those of the training. transient: s cut from the start of each decay. margin: 1/s. reach: smaller
     than the `DIVERGENCE_FACTOR` that a rollout is judged by later, so that unseen runs have room as well.
@@ -31,11 +33,13 @@ class StabilityGuard:
     """
 
     def __init__(self, trajectories: Sequence, *, transient: float = 0.0, margin: float = 0.05, reach: float = 3.0,
-                 horizon: float = 1.0, starts: int = 1000):
-        if not (margin >= 0 and reach > 1):
-            raise ValueError(f"margin {margin} 1/s and reach {reach}; expected 0 or more, and more than 1")
+                 overdrive: float = 1.25, horizon: float = 1.0, starts: int = 1000):
+        if not (margin >= 0 and reach > 1 and overdrive >= 1):
+            raise ValueError(f"margin {margin} 1/s, reach {reach} and overdrive {overdrive}; expected 0 or more, more "
+                             "than 1, and 1 or more")
         self.trajectories = tuple(_settled(run, transient) for run in trajectories if run.kind != "static")
-        self.margin, self.reach, self.horizon, self.starts = float(margin), float(reach), float(horizon), int(starts)
+        self.margin, self.reach, self.overdrive = float(margin), float(reach), float(overdrive)
+        self.horizon, self.starts = float(horizon), int(starts)
         self._recorded: dict[int, tuple[RolloutBatch, list[RolloutBatch]]] = {}
 
     def holds(self, model: SSMR | ControlAugmentedSSMR) -> bool:
@@ -49,8 +53,12 @@ class StabilityGuard:
         if not torch.isfinite(bound):
             raise ValueError("the range of the training states is not known; guard a model after its closed form")
         some, whole = self._of_delays(model.delays)
-        return self._leaves(model, [some.to(bound.device)], bound) or self._leaves(
-            model, [run.to(bound.device) for run in whole], bound)
+        return any(self._leaves(model, [copy for run in batches for copy in self._driven(run.to(bound.device))], bound)
+                   for batches in ([some], whole))
+
+    def _driven(self, run: RolloutBatch) -> list[RolloutBatch]:
+        """The recorded rollouts, and the same with stronger inputs."""
+        return [run] if self.overdrive == 1 else [run, replace(run, inputs=self.overdrive * run.inputs)]
 
     @staticmethod
     def _leaves(model, batches: list[RolloutBatch], bound: Tensor) -> bool:
@@ -131,10 +139,11 @@ class GuardFit(ModelFit):
 
     epochs, starts = 1, 1
 
-    def __init__(self, model: SSMR | ControlAugmentedSSMR, *, margin: float = 0.05, reach: float = 3.0):
+    def __init__(self, model: SSMR | ControlAugmentedSSMR, *, margin: float = 0.05, reach: float = 3.0,
+                 overdrive: float = 1.25):
         super().__init__(model)
         dynamics_tables(model)
-        self.settings = {"margin": margin, "reach": reach}
+        self.settings = {"margin": margin, "reach": reach, "overdrive": overdrive}
         self.automatic_optimization = False
         self.repairs: dict[str, float] = {}
 

@@ -91,5 +91,15 @@ def test_a_model_that_was_not_fitted_is_refused():
 
 
 def test_impossible_settings_are_refused():
-    with pytest.raises(ValueError, match="margin -1 1/s and reach 3"):
-        StabilityGuard([], margin=-1, reach=3)
+    with pytest.raises(ValueError, match="margin -1 1/s, reach 3.0 and overdrive 1.25"):
+        StabilityGuard([], margin=-1)
+    with pytest.raises(ValueError, match="overdrive 0.5"):
+        StabilityGuard([], overdrive=0.5)
+
+
+def test_inputs_beyond_those_recorded_are_tried_as_well():
+    model = spiral(-1.0, cubic=2.0)
+    with torch.no_grad():
+        model.control_table[0, 0] = 2.5
+    assert not StabilityGuard([run(300)], overdrive=1.0, starts=50).diverges(model)
+    assert StabilityGuard([run(300)], overdrive=1.5, starts=50).diverges(model)

@@ -1,0 +1,38 @@
+"""Delays and the manifold under control (Fig. 3): python experiments/delay_study.py data.path=FILE record=record.h5"""
+
+from entry import entry_point, save_json
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+from ssmr_torch.closed_loop import ClosedLoopRecord
+from ssmr_torch.evaluation import figures, study_figures
+from ssmr_torch.evaluation.delay_study import format_reconstruction, reconstruction_study
+from ssmr_torch.provenance import provenance
+from ssmr_torch.trajectory import Trajectory
+
+
+def controlled_run(config, dataset):
+    """The record of a closed loop, or the longest controlled test run."""
+    if config.record is not None:
+        record = ClosedLoopRecord.load(config.record)
+        columns = [record.output_names.index(name) for name in dataset.output_names]
+        return Trajectory(record.time, record.observation[:, columns], record.input)
+    runs = dataset.select("test", "controlled")
+    if not runs:
+        raise ValueError("the data hold no controlled test run; give record=FILE.h5 of experiments/control.py")
+    return max(runs, key=lambda run: run.length).read()
+
+
+@entry_point("delay_study")
+def main(config, directory):
+    dataset = instantiate(config.data).observing(config.outputs)
+    decays = dataset.select("train", "decay")
+    rows = reconstruction_study(decays, controlled_run(config, dataset), **instantiate(config.manifold))
+    figures.save(study_figures.reconstruction(rows), directory / "delays.svg")
+    save_json(directory / "delays.json", {"rows": rows, "provenance": provenance(
+        OmegaConf.to_container(config, resolve=True))})
+    print(f"{format_reconstruction(rows)}\n{directory / 'delays.svg'}")
+
+
+if __name__ == "__main__":
+    main()
