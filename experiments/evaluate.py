@@ -6,6 +6,7 @@ from omegaconf import OmegaConf
 
 from ssmr_torch import artifact
 from ssmr_torch.evaluation import figures
+from ssmr_torch.evaluation.comparison import comparison_table
 from ssmr_torch.evaluation.open_loop import compare_open_loop, format_table
 from ssmr_torch.evaluation.sections import prediction_figures
 from ssmr_torch.provenance import provenance
@@ -28,6 +29,8 @@ def main(config, directory):
                                seed=config.seed, outputs=outputs)
     table = format_table(scores)
     (directory / "scores.txt").write_text(table + "\n")
+    costs = {name: model.card.get("cost", {}) for name, model in zip(models, loaded)}
+    (directory / "comparison.md").write_text(comparison_table(scores, costs) + "\n")
     origin = provenance(OmegaConf.to_container(config, resolve=True)) | {
         "artifacts": {name: model.card["sha256"] for name, model in zip(models, loaded)}, "data": dataset.provenance}
     save_json(directory / "scores.json", {"scores": {name: score.as_dict() for name, score in scores.items()},

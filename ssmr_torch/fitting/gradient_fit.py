@@ -33,7 +33,8 @@ class GradientFit(ModelFit):
         super().__init__(model)
         if epochs < 1 or not learning_rate > 0:
             raise ValueError(f"epochs {epochs} and learning_rate {learning_rate}; both must be positive")
-        if not 0 < first_share <= 1 or weight_decay < 0 or (patience or 1) < 1 or (minutes or 1) <= 0:
+        limits = [limit for limit in (patience, minutes) if limit is not None]
+        if not 0 < first_share <= 1 or weight_decay < 0 or any(limit <= 0 for limit in limits):
             raise ValueError(f"first_share {first_share}, weight_decay {weight_decay}, patience {patience} and minutes "
                              f"{minutes}; expected a share of at most 1 and positive numbers")
         known = dict(model.named_parameters())
