@@ -27,9 +27,11 @@ def controlled_run(config, dataset):
 def main(config, directory):
     dataset = instantiate(config.data).observing(config.outputs)
     decays = dataset.select("train", "decay")
-    rows = reconstruction_study(decays, controlled_run(config, dataset), **instantiate(config.manifold))
-    figures.save(study_figures.reconstruction(rows), directory / "delays.svg")
-    save_json(directory / "delays.json", {"rows": rows, "provenance": provenance(
+    run = controlled_run(config, dataset)
+    rows = reconstruction_study(decays, run, **instantiate(config.manifold))
+    figures.save(study_figures.reconstruction(rows, run.observation, dataset.output_names), directory / "delays.svg")
+    numbers = [{name: value for name, value in row.items() if name != "outputs"} for row in rows]
+    save_json(directory / "delays.json", {"rows": numbers, "provenance": provenance(
         OmegaConf.to_container(config, resolve=True))})
     print(f"{format_reconstruction(rows)}\n{directory / 'delays.svg'}")
 

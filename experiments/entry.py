@@ -32,20 +32,22 @@ def entry_point(name: str):
                 return function(config, directory)
             except Exception as error:
                 cause = error.__cause__ or error if isinstance(error, InstantiationException) else error
-                if not (isinstance(cause, (ValueError, OSError)) or type(cause).__name__ in THEIRS):
+                expected = isinstance(cause, (ValueError, OSError)) or type(cause).__name__ in THEIRS
+                if not expected and HydraConfig.get().mode != RunMode.MULTIRUN:
                     raise
-                return refuse(f"{name}: {cause}", directory, error)
+                what = str(cause) if expected else f"{type(cause).__name__}: {cause}"
+                return refuse(f"{name}: {what}", directory, error, expected)
 
         return hydra.main(version_base="1.3", config_path=CONF, config_name=name)(task)
 
     return decorate
 
 
-def refuse(message: str, directory: Path, error: Exception) -> float:
+def refuse(message: str, directory: Path, error: Exception, expected: bool) -> float:
     """A single run ends here; a job of a sweep is recorded as failed with an infinite metric, and the sweep goes on."""
     if HydraConfig.get().mode != RunMode.MULTIRUN:
         raise SystemExit(message) from error
-    logging.getLogger(__name__).error(message)
+    logging.getLogger(__name__).error(message, exc_info=None if expected else error)
     save_result(directory, {"failed": message})
     return float("inf")
 
@@ -65,6 +67,7 @@ def save_json(path: Path, content: dict) -> None:
     os.replace(aside, path)
 
 
-def save_result(directory: Path, metrics: dict) -> None:
-    """result.json: the metrics of this job, for the table of a sweep."""
-    save_json(directory / "result.json", {"overrides": list(HydraConfig.get().overrides.task), "metrics": metrics})
+def save_result(directory: Path, metrics: dict, **more) -> None:
+    """result.json: the metrics of this job, and what else tells it from others, for the table of a sweep."""
+    save_json(directory / "result.json",
+              {"overrides": list(HydraConfig.get().overrides.task), "metrics": metrics} | more)

@@ -5,15 +5,7 @@ from entry import entry_point
 from ssmr_torch import artifact
 from ssmr_torch.fitting.training import load_model
 from ssmr_torch.provenance import fingerprint, provenance
-from ssmr_torch.published_models import read_ssmr_model
-
-
-def published_card(tables, output_names):
-    """What a published file does not tell: the observed outputs, and that inputs are normalized to 0 … 1."""
-    inputs, outputs = tables.input_dim, tables.output_dim
-    return {"name": "SSMR (published)", "output_names": list(output_names), "rest": [0.0] * outputs,
-            "input_names": [f"u{j + 1}" for j in range(inputs)], "input_unit": "1",
-            "input_range": [[0.0] * inputs, [1.0] * inputs]}
+from ssmr_torch.published_models import read_published_model
 
 
 @entry_point("export")
@@ -21,9 +13,9 @@ def main(config, directory):
     if (config.checkpoint is None) == (config.mat is None):
         raise ValueError("give either checkpoint=FILE.ckpt or mat=FILE.mat")
     if config.mat is not None:
-        tables = read_ssmr_model(config.mat, length_unit=config.length_unit, input_unit=config.input_unit,
-                                 state_scale=config.state_scale)
-        card = published_card(tables, config.output_names)
+        tables, card = read_published_model(
+            config.mat, output_names=config.output_names, input_names=config.input_names, rest=config.rest,
+            length_unit=config.length_unit, input_unit=config.input_unit, state_scale=config.state_scale)
     else:
         model, card = load_model(config.checkpoint)
         tables = model.tables()

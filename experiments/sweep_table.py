@@ -2,25 +2,26 @@
 
 import csv
 import json
-import re
 from pathlib import Path
 
+from entry import CONF
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
 from omegaconf import OmegaConf
 
 from ssmr_torch.evaluation import figures, study_figures
+from ssmr_torch.evaluation.study import study_rows
+
+TUNED = ("model", "fit", "derivative")
 
 
 class SweepTable(Callback):
-    """After a multirun, gather every job's result.json below the sweep's directory, those of an earlier part as well:
+    """After a multirun, gather every job's result.json below the sweep's directory, those of an earlier part as well.
 
-    sweep.csv: all jobs, best first by the first metric;  sweep.svg: score against parameters, fit time, step time and
-    data (a training), or against the quantity that a study varies;  best.yaml: the best job's settings, in the shape
-    of a file of conf/tuned.
+    sweep.csv: all jobs, best first by the first metric; of trainings sweep.svg: score against parameters, fit time,
+    step time and data; of a study study.csv and study.svg: scores against the quantity that it varies; of a search
+    best.yaml: the best job's settings, to be copied to conf/tuned/EXPERIMENT/MODEL.yaml.
     """
-
-    def on_multirun_start(self, config, **kwargs) -> None:
-        Path(config.hydra.sweep.dir).mkdir(parents=True, exist_ok=True)  # a study's database goes there before any job
 
     def on_multirun_end(self, config, **kwargs) -> None:
         directory = Path(config.hydra.sweep.dir)
@@ -30,50 +31,71 @@ class SweepTable(Callback):
         columns = list(dict.fromkeys(column for row in sorted(rows, key=lambda row: "failed" in row) for column in row))
         first = next((column for column in columns[3:] if column != "failed"), "job")
         rows.sort(key=lambda row: (row.get(first) is None, row.get(first)))
-        with open(directory / "sweep.csv", "w", newline="") as file:
-            writer = csv.DictWriter(file, columns)
-            writer.writeheader()
-            writer.writerows(rows)
-        if any("parameters" in row for row in rows):
-            draw(directory, rows, first, OmegaConf.select(config, "study"))
-            OmegaConf.save(settings(rows[0]["overrides"]), directory / "best.yaml")
+        save(directory / "sweep.csv", rows, columns)
+        choices = config.hydra.runtime.choices
+        if choices.get("study"):
+            draw_study(directory, config.study)
+        elif any("parameters" in row for row in rows):
+            figures.save(study_figures.ranking(rows, first), directory / "sweep.svg")
+        if choices.get("sweep"):
+            save_best(directory, rows[0], first, choices)
         show(directory, rows, columns, first)
 
 
+def results(directory: Path) -> list[dict]:
+    """Every job's result.json, with the number of the job."""
+    files = sorted(directory.glob("*/result.json"))
+    return [{"job": file.parent.name} | json.loads(file.read_text()) for file in files]
+
+
 def gather(directory: Path) -> list[dict]:
-    rows = []
-    for file in sorted(directory.glob("*/result.json")):
-        result = json.loads(file.read_text())
-        chosen = re.search(r"(?:^| )model=(\S+)", " ".join(result["overrides"]))
-        rows.append({"job": file.parent.name, "model": chosen[1] if chosen else "",
-                     "overrides": " ".join(result["overrides"]), **result["metrics"]})
-    return rows
+    """One row per job: its number, the model's name, its overrides, its metrics, and what it cost."""
+    return [{"job": result["job"], "model": result.get("name") or "", "overrides": " ".join(result["overrides"]),
+             **result["metrics"], **result.get("cost", {})} for result in results(directory)]
 
 
-def draw(directory: Path, rows: list[dict], first: str, study) -> None:
-    axis = (study or {}).get("axis")
-    named = [row | {"model": row["model"] or "model"} for row in rows]
-    if axis:
-        named = [row | {axis: float(value[1])} for row in named
-                 if (value := re.search(rf"(?:^| ){re.escape(axis)}=(\S+)", row["overrides"]))]
-        part = "test" if any(row.get("test/rmse") is not None for row in named) else "validation"
-        scores = [(f"{part}/rmse_50ms", "50 ms"), (f"{part}/rmse_200ms", "200 ms"), (f"{part}/rmse", "1 s")]
-        figure = study_figures.trend(named, axis, scores, study["label"])
-    else:
-        figure = study_figures.ranking(named, first, first)
-    figures.save(figure, directory / "sweep.svg")
+def draw_study(directory: Path, study) -> None:
+    """study.csv and study.svg: the scores over the varied override, or over what was measured of every record."""
+    rows = study_rows(results(directory), study.axis)
+    if rows:
+        save(directory / "study.csv", rows, list(rows[0]))
+        drawing = study_figures.trend(rows, study.axis, study.label, study.get("scale", 1.0))
+        figures.save(drawing, directory / "study.svg")
 
 
-def settings(overrides: str):
-    """The overrides of model, fit, derivative and module as a configuration of package _global_."""
-    chosen = [part for part in overrides.split() if part.startswith(("model.", "fit.", "derivative.", "module."))]
-    return OmegaConf.from_dotlist(chosen)
+def save(path: Path, rows: list[dict], columns: list[str]) -> None:
+    with open(path, "w", newline="") as file:
+        writer = csv.DictWriter(file, columns)
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def save_best(directory: Path, best: dict, first: str, choices) -> None:
+    """best.yaml: what was tuned before, and over it the best job's overrides of model, fit and derivative."""
+    if best.get(first) is None:
+        return
+    before = Path(CONF) / "tuned" / str(choices.get("experiment")) / f"{choices.model}.yaml"
+    settings = OmegaConf.load(before) if before.is_file() else OmegaConf.create()
+    overrides = json.loads((directory / best["job"] / "result.json").read_text())["overrides"]
+    groups = []
+    for override in OverridesParser.create().parse_overrides(overrides):
+        section, _, rest = override.key_or_group.partition(".")
+        if section in TUNED and rest:
+            OmegaConf.update(settings, override.key_or_group, override.value(), force_add=True)
+        elif section in TUNED and section != "model":
+            groups.append({f"override /{section}": override.value()})
+    settings = OmegaConf.merge({"defaults": groups} if groups else {}, settings)
+    note = f"Found by sweep={choices.sweep}: {first} {best[first]:.4g} in job {best['job']}."
+    (directory / "best.yaml").write_text(f"# @package _global_\n# {note}\n{OmegaConf.to_yaml(settings)}")
 
 
 def show(directory: Path, rows: list[dict], columns: list[str], first: str) -> None:
+    """The table, on the terminal: of the overrides those in which the jobs differ."""
+    common = set.intersection(*(set(row["overrides"].split()) for row in rows)) if len(rows) > 1 else set()
     print(f"\n{len(rows)} jobs, best first by {first}: {directory / 'sweep.csv'}")
-    print(f"  job  {'  '.join(columns[3:])}  overrides")
+    print(f"  job  model  {'  '.join(columns[3:])}  overrides")
     for row in rows:
         values = "  ".join(f"{row.get(column):.4g}" if isinstance(row.get(column), float) else str(row.get(column))
                            for column in columns[3:])
-        print(f"  {row['job']:>3}  {values}  {row['overrides']}")
+        differing = " ".join(part for part in row["overrides"].split() if part not in common)
+        print(f"  {row['job']:>3}  {row['model']}  {values}  {differing}")

@@ -2,18 +2,40 @@
 
 import lightning
 from entry import entry_point, save_json, save_result
+from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from lightning.pytorch.utilities import rank_zero_only
 from omegaconf import OmegaConf
 
 from ssmr_torch.evaluation import figures
 from ssmr_torch.evaluation.sections import training_figures
+from ssmr_torch.evaluation.study import score_runs
 from ssmr_torch.fitting.training import train
 from ssmr_torch.provenance import provenance
+from ssmr_torch.trajectory import TrajectoryDataset
+
+
+def objective(config, scores):
+    """The score that a sweep minimizes; None where there is no validation."""
+    searched = HydraConfig.get().runtime.choices.get("sweep")
+    if config.metric not in scores and (searched or any(name.startswith("validation/") for name in scores)):
+        raise ValueError(f"metric is {config.metric!r}; the scores are {sorted(scores) or 'none, without validation'}")
+    return scores.get(config.metric)
+
+
+def scored_runs(config, dataset, model):
+    """Scores on each controlled run of a further file, and how far it leaves the training data."""
+    if config.runs is None:
+        return []
+    further = TrajectoryDataset.load(config.runs).observing(dataset.output_names).select(kind="controlled")
+    return score_runs(config.name, model, further, dataset.select("train", "controlled"),
+                      starts=config.module.starts, seed=config.seed)
 
 
 @entry_point("train")
 def main(config, directory):
+    if config.metric.startswith("test/"):
+        raise ValueError(f"metric is {config.metric!r}; models are chosen by validation, never by the test runs")
     lightning.seed_everything(config.seed, workers=True, verbose=False)
     dataset = instantiate(config.data).observing(config.outputs)
     loggers = [instantiate(logger) for logger in config.logger.values()]
@@ -32,13 +54,16 @@ def main(config, directory):
         for logger in loggers:
             logger.finalize("success")
             getattr(logger.experiment, "finish", lambda: None)()
-    save_json(directory / "report.json", training.report | {"scores": training.scores, "provenance": origin})
+    found = {"scores": training.scores, "cost": training.cost, "provenance": origin}
+    save_json(directory / "report.json", training.report | found)
     drawn = training_figures(training.report, dataset.provenance.get("eigenvalues")) if config.figures else {}
     for name, figure in drawn.items():
         figures.save(figure, directory / f"{name}.svg")
     print(training.summary())
-    save_result(directory, {config.metric: training.scores.get(config.metric), **training.scores, **training.cost})
-    return training.scores.get(config.metric)
+    score = objective(config, training.scores)
+    save_result(directory, {config.metric: score} | training.scores, name=config.name, cost=training.cost,
+                runs=scored_runs(config, dataset, training.model))
+    return score
 
 
 if __name__ == "__main__":

@@ -112,6 +112,40 @@ def test_what_was_tuned_is_taken_up_with_its_experiment_and_model(tuned):
         assert _within(values, OmegaConf.to_container(config[section]))
 
 
+def has(config, key: str) -> bool:
+    *sections, last = key.split(".")
+    for section in sections:
+        config = config.get(section, {})
+    return last in config
+
+
+@pytest.mark.parametrize("sweep", group("sweep"))
+def test_every_sweep_searches_settings_that_its_model_has_by_validation_and_with_the_same_effort(sweep):
+    pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="needs pip install 'ssmr_torch[sweeps]'")
+    config = compose("train", [f"sweep={sweep}"], return_hydra_config=True)
+    sweeper = config.hydra.sweeper
+    assert sweeper._target_ == "hydra_plugins.study_sweeper.StudySweeper"
+    assert config.metric.startswith("validation/") and not config.module.score_test
+    assert sweeper.n_trials == 40 and sweeper.direction == "minimize"
+    if sweep != "optuna":  # the common part, for ranges of one's own
+        assert config.hydra.runtime.choices.model == sweep
+        assert len(sweeper.params) >= 4 and all(has(config, key) for key in sweeper.params)
+
+
+def test_every_model_can_be_tuned():
+    assert set(group("sweep")) == {*group("model"), "optuna"}
+
+
+@pytest.mark.parametrize("study", group("study"))
+def test_every_study_varies_a_setting_or_asks_for_test_runs(study):
+    config = compose("train", [f"study={study}"], return_hydra_config=True)
+    varied = dict(config.hydra.sweeper.params or {})
+    if OmegaConf.is_missing(config, "runs"):
+        assert config.study.axis in ("amplitude", "speed") and not varied
+    else:
+        assert list(varied) == [config.study.axis] and has(config, config.study.axis)
+
+
 def _within(values, everything) -> bool:
     if isinstance(values, dict):
         return all(_within(value, everything[key]) for key, value in values.items())

@@ -5,7 +5,8 @@ import pytest
 import scipy.io
 from sklearn.preprocessing import PolynomialFeatures
 
-from ssmr_torch.published_models import read_ssmr_model
+from ssmr_torch import artifact
+from ssmr_torch.published_models import read_koopman_model, read_published_model, read_ssmr_model
 
 
 def their_monomials(x, degree):
@@ -88,3 +89,82 @@ def test_files_of_something_else_are_refused(tmp_path):
     for name in ("flat", "half", "text", "empty", "cut"):
         with pytest.raises(ValueError, match=f"{name}.mat is not an SSMR model: expected the struct py_data"):
             read_ssmr_model(tmp_path / f"{name}.mat")
+
+
+REST = np.array([3.5888e-3, 0.2934e-3, 195.6144e-3])
+
+
+def write_koopman(path, model=None, params=None, inputs=2):
+    rng = np.random.default_rng(0)
+    scale = {"y_factor": [80.0, 90.0, 50.0], "y_offset": [0.7, -6.7, 145.0],
+             "u_factor": 300.0 + np.arange(inputs), "u_offset": 400.0 + np.arange(inputs)}
+    tables = {"A": rng.normal(size=(6, 6)), "B": rng.normal(size=(6, inputs)), "G": rng.normal(size=(inputs, 3))}
+    sizes = {"n": 3, "m": inputs, "delays": 1, "Ts": 0.02, "obs_degree": 1, "inputInFeatures": 0, "scale": scale}
+    scipy.io.savemat(path, {"py_data": {"model": tables | (model or {}), "params": sizes | (params or {})}})
+    return path
+
+
+def assert_same_koopman_predictions(path):
+    """Scaled absolute coordinates by their tables against displacements by ours: one step, read-out and pregain."""
+    stored = scipy.io.loadmat(path, simplify_cells=True)["py_data"]
+    scale = {name: np.reshape(value, -1) for name, value in stored["params"]["scale"].items()}
+    A, G = stored["model"]["A"], stored["model"]["G"].reshape(-1, 3)
+    B = stored["model"]["B"].reshape(6, -1)
+    model = read_koopman_model(path, rest=REST)
+    rng = np.random.default_rng(1)
+    newest_last, u = 5e-3 * rng.normal(size=(20, 2, 3)), rng.uniform(0, 0.8, (20, model.input_dim))
+    absolute = (1e3 * (newest_last + REST) - scale["y_offset"]) / scale["y_factor"]
+    x, v = absolute[:, ::-1].reshape(20, 6), (1e3 * u - scale["u_offset"]) / scale["u_factor"]
+    following = (x @ A.T + v @ B.T)[:, :3] * scale["y_factor"] + scale["y_offset"]
+    z = model.encode(newest_last, np.zeros((20, 1, model.input_dim)))
+    np.testing.assert_allclose(model.decode(z), newest_last[:, -1], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(model.decode(model.step(z, u)), 1e-3 * following - REST, rtol=0, atol=1e-13)
+    expected = 1e-3 * (absolute[:, -1] @ G.T * scale["u_factor"] + scale["u_offset"])
+    np.testing.assert_allclose(np.column_stack([np.ones(20), newest_last[:, -1]]) @ model.pregain.T, expected,
+                               rtol=1e-11, atol=1e-12)
+    assert (model.timestep, model.window_timestep, model.delays) == (0.02, 0.02, 1)
+
+
+def test_the_published_trunk_model_of_absolute_positions_predicts_the_same_of_displacements(measurements):
+    assert_same_koopman_predictions(measurements("trunk_simulated/reference_dmd_pregain.mat"))
+
+
+@pytest.mark.parametrize("inputs", [1, 2])
+def test_koopman_tables_are_converted_for_any_number_of_inputs(tmp_path, inputs):
+    assert_same_koopman_predictions(write_koopman(tmp_path / "model.mat", inputs=inputs))
+
+
+def test_either_kind_of_file_is_recognized_and_makes_an_artifact(tmp_path):
+    koopman, names = write_koopman(tmp_path / "koopman.mat"), ("tip_x", "tip_y", "tip_z")
+    for path, options, expected in (
+            (koopman, {"rest": REST, "input_unit": 1e-3, "input_names": ["left", "right"]},
+             {"name": "DMD (published)", "input_unit": "N", "input_names": ["left", "right"], "rest": REST.tolist()}),
+            (write(tmp_path / "ssmr.mat"), {},
+             {"name": "SSMR (published)", "input_unit": "1", "input_names": ["u1", "u2"], "rest": [0.0] * 3,
+              "input_range": [[0.0] * 2, [1.0] * 2]})):
+        tables, card = read_published_model(path, output_names=names, **options)
+        assert expected.items() <= card.items()
+        loaded = artifact.load(artifact.save(tmp_path / "artifact", tables, **card))
+        assert type(loaded.model) is type(tables)
+    _, card = read_published_model(koopman, output_names=names, rest=REST, input_unit=1e-3)
+    np.testing.assert_allclose(card["input_range"], [[0.1, 0.1], [0.7, 0.702]])
+
+
+@pytest.mark.parametrize(("model", "params", "message"), [
+    ({}, {"obs_degree": 2}, r"with obs_degree 1 \(it is 2\)"), ({}, {"inputInFeatures": 1}, "inputInFeatures 0"),
+    ({"A": np.eye(5)}, {}, r"have \(25, 12, 6, 3, 3, 2, 2, 3\) entries.*need \(36, 12, 6, 3, 3, 2, 2, 3\)"),
+    ({"B": {"odd": 1.0}}, {}, "is not a Koopman model: expected the struct py_data"),
+    ({}, {"scale": {}}, "is not a Koopman model.*failed at 'y_factor'")])
+def test_koopman_files_that_do_not_fit_are_refused(tmp_path, model, params, message):
+    with pytest.raises(ValueError, match=message):
+        read_koopman_model(write_koopman(tmp_path / "model.mat", model, params), rest=REST)
+
+
+def test_a_koopman_model_without_the_rest_it_needs_is_refused(tmp_path):
+    path = write_koopman(tmp_path / "model.mat")
+    with pytest.raises(ValueError, match="is a Koopman model, of absolute positions; give the rest"):
+        read_published_model(path, output_names=("x", "y", "z"))
+    with pytest.raises(ValueError, match="have .* 2\\) entries"):
+        read_koopman_model(path, rest=[0.0, 0.0])
+    with pytest.raises(ValueError, match="is not a published model"):
+        read_published_model(write(tmp_path / "other.mat", name="other"), output_names=("x", "y", "z"))

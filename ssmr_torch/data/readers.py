@@ -36,19 +36,35 @@ RELEASED = 0.05     # share of its way that a trunk has moved once it is release
 HELD = "Each input is held until the next sample and acts after the observation of its row."
 
 
-def stored(path: str | Path) -> TrajectoryDataset:
-    """The dataset in a file that `TrajectoryDataset.save` wrote; nothing is converted.
+def stored(path: str | Path | Sequence[str | Path]) -> TrajectoryDataset:
+    """The dataset in a file that `TrajectoryDataset.save` wrote, or in several of the same robot; nothing is converted.
 
-    Adds the SHA-256 of the file to the provenance, as "stored". Raises FileNotFoundError, or ValueError for a
-    file of another kind or a truncated one.
+    Adds the SHA-256 of the file to the provenance, as "stored", and of further ones, as "joined". Raises
+    FileNotFoundError, or ValueError for a file of another kind, a truncated one, or files whose outputs, inputs,
+    input unit or rest differ.
     """
+    paths = [path] if isinstance(path, (str, Path)) else list(path)
+    datasets = [_opened(each) for each in paths]
+    for other, name in zip(datasets, paths):
+        for what in ("output_names", "input_names", "input_unit", "rest"):
+            one, two = getattr(datasets[0], what), getattr(other, what)
+            if not (np.allclose(one, two, rtol=0, atol=1e-6) if what == "rest" else one == two):
+                raise ValueError(f"{paths[0]} and {name} differ in {what}, {one} and {two}; "
+                                 "train on runs of one robot")
+    provenance = datasets[0].provenance | {"stored": fingerprint(paths[0])}
+    if len(paths) > 1:
+        provenance["joined"] = [fingerprint(each) for each in paths[1:]]
+    return replace(datasets[0], trajectories=tuple(run for dataset in datasets for run in dataset),
+                   provenance=provenance)
+
+
+def _opened(path: str | Path) -> TrajectoryDataset:
     try:
-        dataset = TrajectoryDataset.load(path)
+        return TrajectoryDataset.load(path)
     except FileNotFoundError:
         raise
     except OSError as error:
         raise ValueError(f"{Path(path).name} cannot be read ({error}); copy or collect it again") from error
-    return replace(dataset, provenance=dataset.provenance | {"stored": fingerprint(path)})
 
 
 def trunk_hardware(path: str | Path, *, train: Sequence[str] = ("controlled_1",),

@@ -19,8 +19,9 @@ def reconstruction_study(decays: Sequence, run, *, delays: Sequence[int] = (4, 1
     """A controlled run seen through manifolds of the decays: ŷ = w(v(window)), newest sample.
 
     For each number of delays n_d, once with windows of n_d delays, once reparametrized to `control_delays`. Rows of
-    {"delays", "reparametrized", "ratio", "error"}: 100 ‖ŷ‖ / ‖y‖, which the paper calls reconstruction and which is 100
-    for any error that keeps the size, and the error 100 ‖ŷ − y‖ / ‖y‖, %.
+    {"delays", "reparametrized", "ratio", "error", "outputs"}: 100 ‖ŷ‖ / ‖y‖, which the paper calls reconstruction and
+    which is 100 for any error that keeps the size, the error 100 ‖ŷ − y‖ / ‖y‖, %, and ŷ (K, p), m. All see the same
+    last K samples of the run, those with the longest window before them.
     Raises ValueError without decays, or where a run is shorter than a window.
     """
     if not decays:
@@ -34,7 +35,7 @@ def reconstruction_study(decays: Sequence, run, *, delays: Sequence[int] = (4, 1
                          control_delays if reparametrized else count, parametrization_degree=degree)
             procedure = SSMRLeastSquares(model, detection_delays=count)
             _fit_manifold(procedure, decays, transient, ridge)
-            rows.append({"delays": count, "reparametrized": reparametrized} | _reconstruction(model, run))
+            rows.append({"delays": count, "reparametrized": reparametrized} | _reconstruction(model, run, max(delays)))
     return rows
 
 
@@ -57,11 +58,11 @@ def _fit_manifold(procedure: SSMRLeastSquares, decays: Sequence, transient: floa
 
 
 @torch.no_grad()
-def _reconstruction(model: SSMR, run) -> dict[str, float]:
-    whole = run.read()
-    windows = delay_windows(torch.from_numpy(np.array(whole.observation, dtype=np.float64)), model.delays)
+def _reconstruction(model: SSMR, run, before: int) -> dict:
+    whole = run.read().observation[before - model.delays:]
+    windows = delay_windows(torch.from_numpy(np.array(whole, dtype=np.float64)), model.delays)
     measured = windows[:, -1]
     found = model.decode(model.encode(windows))
     size = torch.linalg.vector_norm(measured)
     return {"ratio": float(100 * torch.linalg.vector_norm(found) / size),
-            "error": float(100 * torch.linalg.vector_norm(found - measured) / size)}
+            "error": float(100 * torch.linalg.vector_norm(found - measured) / size), "outputs": found.numpy()}

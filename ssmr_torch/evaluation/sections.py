@@ -147,7 +147,7 @@ def open_loop_section(path: Path) -> Section:
 def training_section(path: Path) -> Section:
     """What one fit found: scores, regressions, warnings, singular values, eigenvalues."""
     stored = json.loads(path.read_text())
-    fits = {key: value for key, value in stored.items() if key not in ("scores", "provenance")}
+    fits = {key: value for key, value in stored.items() if key not in ("scores", "cost", "provenance")}
     scores = stored.get("scores") or {}
     errors = [_error(key.removesuffix("/rmse"), scores) for key in scores if key.endswith("/rmse")]
     rows = [[f"{fit}: {regression}".replace("_", " "), values["rows"], values["features"], values["condition"],

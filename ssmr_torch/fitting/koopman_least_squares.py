@@ -21,8 +21,9 @@ class KoopmanLeastSquares(nn.Module):
 
     scale: the root mean square of each observable, by which ζ is divided; it conditions the regression and gives the
         ridge one meaning for all, and changes no prediction of an unregularized fit beyond rounding.
-    transition: ψ(ζ_{k+1}) on [z, u, u ⊗ (z but its constant)], over all pairs a model step apart that lie within one
-        run. Rows that are known are set and not regressed: the constant, and in degree one the delayed copies of y, u.
+    transition: ψ(ζ_{k+1}), or ζ_{k+1} alone if that is lifted anew, on [z, u, u ⊗ (z but its constant)], over all pairs
+        a model step apart that lie within one run. Rows that are known are set and not regressed: the constant, and in
+        degree one the delayed copies of y and u.
     pregain (if the model carries one): u on [1, y] over the set points, the last sample of each static run and the last
         before each change of its input.
 
@@ -74,7 +75,7 @@ class KoopmanLeastSquares(nn.Module):
             (rows,) = self._core(segment, first, observables)
             return {"scale": Regression(rows, rows[:, :0])}
         z = self.model.lifting(observables / self.model.scale)
-        now, following = z[:-self.stride], z[self.stride:]
+        now, following = z[:-self.stride], z[self.stride:, self.model.propagated]
         u = self._held(segment.input)[first:first + len(now)]
         now, u, following = self._core(segment, first, now, u, following)
         return {"transition": Regression(self._regressors(now, u), following)}
@@ -107,7 +108,8 @@ class KoopmanLeastSquares(nn.Module):
 
     def _set_known_rows(self, coefficients: Tensor) -> None:
         """The constant stays one; a delayed sample or input of the next step is one of this step."""
-        model, p, m, first = self.model, self.model.output_dim, self.model.input_dim, int(self.model.constant)
+        model, p, m, linear = self.model, self.model.output_dim, self.model.input_dim, int(self.model.constant)
+        first = linear - model.propagated.start
         if first:
             coefficients[0] = 0.0
             coefficients[0, 0] = 1.0
@@ -119,7 +121,7 @@ class KoopmanLeastSquares(nn.Module):
             if newest_input:
                 coefficients[first + row, model.state_dim + row - outputs] = 1 / scale[row]
             else:
-                coefficients[first + row, first + source] = scale[source] / scale[row]
+                coefficients[first + row, linear + source] = scale[source] / scale[row]
 
     def _regressors(self, z: Tensor, u: Tensor) -> Tensor:
         parts = [z, u]

@@ -13,6 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor, distributed
 
+# lars_path_gram ends at a penalty of 1e-7, however large the targets are
+PATH_SCALE = 1e6
+
 
 @dataclass(frozen=True)
 class Factor:
@@ -112,19 +115,24 @@ class StreamedRegression:
 
 
 def lasso_solutions(factor: Factor, features: int, candidates: Sequence[float]) -> list[Tensor]:
-    """Coefficients (targets, features) for each lasso λ, by scikit-learn's coordinate descent on the factor."""
-    from sklearn.linear_model import Lasso
+    """Coefficients (targets, features) for each lasso λ, from scikit-learn's least-angle regression on the factor.
+
+    Its path over λ is exact where coordinate descent stalls: on features as alike as neighbouring samples are.
+    """
+    from sklearn.linear_model import lars_path_gram
 
     matrix, targets = factor.triangle[:features, :features], factor.triangle[:features, features:]
     norms = (torch.linalg.vector_norm(columns, dim=0) for columns in (matrix, factor.triangle[:, features:]))
     scale, size = (torch.where(norm > 0, norm, torch.ones_like(norm)) for norm in norms)
-    X, y = (matrix / scale).cpu().numpy(), (targets / size).cpu().numpy()
-    found = []
-    for penalty in candidates:
-        path = Lasso(alpha=max(penalty, 1e-12) / features, fit_intercept=False, max_iter=20000, tol=1e-8)
-        coefficients = torch.as_tensor(np.atleast_2d(path.fit(X, y).coef_), dtype=matrix.dtype, device=matrix.device)
-        found.append(coefficients / scale * size[:, None])
-    return found
+    X, Y = (matrix / scale).cpu().numpy(), (PATH_SCALE * targets / size).cpu().numpy()
+    gram, wanted = X.T @ X, PATH_SCALE * np.array(candidates)
+    found = np.zeros((len(wanted), Y.shape[1], features))
+    for row, correlation in enumerate((X.T @ Y).T):
+        levels, _, path = lars_path_gram(correlation, gram, n_samples=1, alpha_min=wanted.min(), method="lasso",
+                                         max_iter=20 * features)
+        for feature, values in enumerate(path):
+            found[:, row, feature] = np.interp(-wanted, -levels, values) / PATH_SCALE
+    return [torch.as_tensor(each, dtype=matrix.dtype, device=matrix.device) / scale * size[:, None] for each in found]
 
 
 PENALTIES = {"ridge": lambda *problem: ridge_solutions(*problem), "lasso": lasso_solutions}

@@ -34,7 +34,7 @@ from ssmr_torch.trajectory import TrajectoryDataset
 class Training:
     """A fitted model, its checkpoint, the scores of validation and test (m), its cost, and the report of each fit.
 
-    cost: see `cost_of`.
+    cost: see `cost_of`, and fit_time, s, of the fits without the scoring after them.
     """
 
     model: ReducedModel
@@ -102,14 +102,16 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
     card = data_card(dataset, prepared.training) | {"name": name, "training": origin or {}}
     if resume:
         check_resumable(directory / "checkpoints", tuple(fits), card["training"])
-    scores, report, begun = {}, {}, perf_counter()
+    scores, report, fit_time = {}, {}, 0.0
     for step, build in fits.items():
         fit = build(reduced)
         fit.card = card
-        scores, undone = _run(fit, prepared.prepare(fit), trainer, directory / "checkpoints" / step, loggers, resume)
+        scores, undone, duration = _run(fit, prepared.prepare(fit), trainer, directory / "checkpoints" / step, loggers,
+                                        resume)
+        fit_time += duration
         report[step] = diagnose(fit, prepared.training, prepared.transient)
         report[step]["warnings"] += [undone] if undone else []
-    cost = cost_of(reduced, prepared) | {"fit_time": perf_counter() - begun}
+    cost = cost_of(reduced, prepared) | {"fit_time": fit_time}
     checkpoint = save_model(directory / "model.ckpt", reduced, card | {"scores": scores, "cost": cost})
     return Training(reduced, checkpoint, scores, cost, report)
 
@@ -163,8 +165,8 @@ def data_card(dataset: TrajectoryDataset, training: tuple) -> dict:
 
 
 def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, directory: Path, loggers,
-         resume: bool) -> tuple[dict[str, float], str]:
-    """Scores of the fitted model, and a sentence where the fit was undone."""
+         resume: bool) -> tuple[dict[str, float], str, float]:
+    """Scores of the fitted model, a sentence where the fit was undone, and the time that the fit took, s."""
     validated = bool(module.validation)
     keep = ModelCheckpoint(dirpath=directory, filename="best", save_last=True, enable_version_counter=False,
                            monitor="validation/rmse" if validated and fit.selects else None,
@@ -176,7 +178,9 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
     bar = None
     if fit.selects and validated:
         bar = trainer.validate(fit, module, verbose=False)[0]["validation/rmse"]
+    begun = perf_counter()
     trainer.fit(fit, module, ckpt_path=str(last) if resume and last.is_file() else None, weights_only=True)
+    duration = perf_counter() - begun
     best = float("nan") if bar is None else float(keep.best_model_score)
     improved = bar is None or best <= bar
     fit.model.load_state_dict(load_model(keep.best_model_path or last)[0].state_dict() if improved else before)
@@ -186,7 +190,7 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
             scores |= run(fit, module, verbose=False)[0]
     undone = "" if improved else (f"The refinement was undone: its best validation error, {1e3 * best:.4g} mm, is not "
                                   f"below the {1e3 * bar:.4g} mm it started from.")
-    return {name: float(value) for name, value in scores.items()}, undone
+    return {name: float(value) for name, value in scores.items()}, undone, duration
 
 
 def _range(trajectory, which: int) -> np.ndarray:

@@ -19,15 +19,16 @@ class Koopman(DiscreteTimeModel):
 
     with ψ all monomials of degree up to `degree`, the constant among them if `constant`. degree 1 is DMD with control
     and delays, degree 2 or more EDMD; bilinear adds the N_j [Bruder et al. 2021]. C reads the newest sample out of z,
-    so that decode(encode(window)) is that sample. The state is propagated, never lifted again. pregain: whether the
+    so that decode(encode(window)) is that sample. relift: whether ζ alone is propagated and lifted anew at each step,
+    z⁺ = ψ(A z + …), which keeps z on the image of ψ [van Goor et al. 2023], instead of all of z. pregain: whether the
     model carries a static pregain G, u = G [1, y] at rest, for the controller of that name.
 
     state_dim follows from the lifting. Raises ValueError for input_delays above `delays`, or a degree below 1.
     """
 
     def __init__(self, input_dim: int, output_dim: int, delays: int = 1, *, input_delays: int = 1, degree: int = 1,
-                 constant: bool = True, bilinear: bool = False, pregain: bool = False, timestep: float = 0.01,
-                 window_timestep: float | None = None, base_timestep: float | None = None):
+                 constant: bool = True, bilinear: bool = False, relift: bool = False, pregain: bool = False,
+                 timestep: float = 0.01, window_timestep: float | None = None, base_timestep: float | None = None):
         if degree < 1:
             raise ValueError(f"degree is {degree}; expected 1 (DMD) or more (EDMD)")
         if not 0 <= input_delays <= delays:
@@ -38,22 +39,24 @@ class Koopman(DiscreteTimeModel):
         super().__init__(count_monomials(observables, lowest, degree), input_dim, output_dim, delays, timestep,
                          timestep if window_timestep is None else window_timestep, base_timestep)
         self.input_delays, self.degree, self.constant = int(input_delays), int(degree), bool(constant)
-        self.bilinear, self.has_pregain = bool(bilinear), bool(pregain)
+        self.bilinear, self.relift, self.has_pregain = bool(bilinear), bool(relift), bool(pregain)
         self.lifting = MonomialFeatures(Monomials(observables, lowest, degree))
 
         def table(*shape: int) -> nn.Parameter:
             return nn.Parameter(torch.zeros(shape, dtype=torch.float64))
 
         size, m = self.state_dim, self.input_dim
+        self.propagated = slice(1 - lowest, 1 - lowest + observables) if relift else slice(0, size)
+        rows = self.propagated.stop - self.propagated.start
         self.register_buffer("scale", torch.ones(observables, dtype=torch.float64))
-        self.A, self.B, self.N = table(size, size), table(size, m), table(m if bilinear else 0, size, size)
+        self.A, self.B, self.N = table(rows, size), table(rows, m), table(m if bilinear else 0, rows, size)
         self.register_buffer("pregain", torch.zeros(m if pregain else 0, 1 + self.output_dim, dtype=torch.float64))
 
     @property
     def arguments(self) -> dict:
         return {name: getattr(self, name) for name in (
-            "input_dim", "output_dim", "delays", "input_delays", "degree", "constant", "bilinear", "timestep",
-            "window_timestep", "base_timestep")} | {"pregain": self.has_pregain}
+            "input_dim", "output_dim", "delays", "input_delays", "degree", "constant", "bilinear", "relift",
+            "timestep", "window_timestep", "base_timestep")} | {"pregain": self.has_pregain}
 
     @property
     def read_out(self) -> Tensor:
@@ -74,6 +77,11 @@ class Koopman(DiscreteTimeModel):
         return z @ self.read_out.T
 
     def advance(self, z: Tensor, u: Tensor) -> Tensor:
+        following = self.propagate(z, u)
+        return self.lifting(following) if self.relift else following
+
+    def propagate(self, z: Tensor, u: Tensor) -> Tensor:
+        """What of the next state is regressed: all of it, or ζ / scale where it is lifted anew."""
         following = z @ self.A.T + u @ self.B.T
         if self.bilinear:
             following = following + torch.einsum("...m,mij,...j->...i", u, self.N, z)
@@ -83,6 +91,9 @@ class Koopman(DiscreteTimeModel):
         A, B = self.A.expand(*z.shape[:-1], -1, -1), self.B.expand(*z.shape[:-1], -1, -1)
         if self.bilinear:
             A, B = A + torch.tensordot(u, self.N, 1), B + torch.einsum("mij,...j->...im", self.N, z)
+        if self.relift:
+            lifted = self.lifting.jacobian(self.propagate(z, u))
+            A, B = lifted @ A, lifted @ B
         return A, B
 
     def linearize_output(self, z: Tensor) -> OutputLinearization:

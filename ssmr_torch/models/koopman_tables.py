@@ -14,9 +14,10 @@ from ssmr_torch.models.tables import DiscreteTimeTables
 @dataclass(frozen=True, eq=False, kw_only=True)
 class KoopmanTables(DiscreteTimeTables):
     """z = ψ(ζ / scale), ζ = [y_k, …, y_{k-n_d}, u_{k-1}, …, u_{k-n_u}], ψ the monomials of degree 0 (or 1) to d;
-    z⁺ = A z + B u + Σ_j u_j N_j z,   y = output_scale · (the entries of z that hold y_k).
+    z⁺ = A z + B u + Σ_j u_j N_j z,   y = scale · (the entries of z that hold y_k).
 
-    scale ((n_d + 1) p + n_u m,), A (N, N), B (N, m), N (m, N, N) of the bilinear variant, else (0, N, N);
+    scale ((n_d + 1) p + n_u m,), A (N, N), B (N, m), N (m, N, N) of the bilinear variant, else (0, N, N); with relift,
+    z⁺ = ψ(A z + …) and the rows of A, B, N are those of ζ / scale alone;
     pregain G (m, 1 + p) of u = G [1, y] at rest, else (0, 1 + p): float64, SI.
     """
 
@@ -28,6 +29,7 @@ class KoopmanTables(DiscreteTimeTables):
     degree: int
     input_delays: int
     constant: bool
+    relift: bool = False
 
     @cached_property
     def monomials(self) -> Monomials:
@@ -52,15 +54,23 @@ class KoopmanTables(DiscreteTimeTables):
         return z @ self.read_out.T
 
     def advance(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
+        following = self.propagate(z, u)
+        return self.monomials(following) if self.relift else following
+
+    def propagate(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """All of the next state, or its ζ / scale where that is lifted anew."""
         following = z @ self.A.T + u @ self.B.T
         if len(self.N):
             following = following + np.einsum("...m,mij,...j->...i", u, self.N, z)
         return following
 
     def advance_jacobians(self, z: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        A, B = np.broadcast_to(self.A, z.shape + self.A.shape[-1:]), np.broadcast_to(self.B, z.shape + u.shape[-1:])
+        A, B = (np.broadcast_to(table, z.shape[:-1] + table.shape) for table in (self.A, self.B))
         if len(self.N):
             A, B = A + np.tensordot(u, self.N, 1), B + np.einsum("mij,...j->...im", self.N, z)
+        if self.relift:
+            lifted = self.monomials.jacobian(self.propagate(z, u))
+            A, B = lifted @ A, lifted @ B
         return A, B
 
     def linearize_output(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

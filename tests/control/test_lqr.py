@@ -103,6 +103,16 @@ def test_a_measurement_that_is_not_finite_gives_the_safe_input_and_is_counted():
     assert command.fallback is None
 
 
+def test_a_constant_among_the_states_changes_no_input():
+    linear = damped_masses()
+    affine = damped_masses(A=np.block([[np.eye(1), np.zeros((1, 4))], [np.zeros((4, 1)), linear.A]]),
+                           B=np.vstack([np.zeros(2), linear.B]), N=np.zeros((0, 5, 5)), constant=True,
+                           state_scale=np.r_[1.0, linear.state_scale])
+    one, other = (StaticPregainController(model, TASK, BOUNDS, output_names=NAMES) for model in (linear, affine))
+    for k, measured in enumerate(0.01 * np.random.default_rng(0).uniform(-1, 1, (20, 2))):
+        np.testing.assert_allclose(one(0.01 * k, measured).input, other(0.01 * k, measured).input, rtol=1e-9)
+
+
 @pytest.mark.parametrize("changes", [{"pregain": np.zeros((0, 3))}, {"N": np.zeros((2, 4, 4))}])
 def test_a_model_without_pregain_or_with_bilinear_terms_is_refused(changes):
     with pytest.raises(ValueError, match="train one with model=koopman_lqr"):

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 import logging
 
@@ -293,6 +294,21 @@ def test_a_stored_dataset_is_read_back(tmp_path):
     np.testing.assert_array_equal(read[0].read().observation, written[0].observation)
     assert read.provenance == written.provenance | {"stored": fingerprint(path)}
     assert list(read.provenance["stored"]) == ["runs.h5"] and str(tmp_path) not in json.dumps(read.provenance)
+
+
+def test_stored_datasets_of_one_robot_are_joined_and_those_of_two_refused(tmp_path):
+    written = readers.custom(csv_card(tmp_path))
+    paths = [written.save(tmp_path / name / "runs.h5") for name in ("one", "two")]
+    joined = readers.stored(paths)
+    assert len(joined) == 2 * len(written)
+    np.testing.assert_array_equal(joined[-1].read().input, written[-1].input)
+    added = {"stored": fingerprint(paths[0]), "joined": [fingerprint(paths[1])]}
+    assert joined.provenance == written.provenance | added
+    for changes, message in (({"rest": written.rest + 0.01}, "differ in rest"),
+                             ({"input_names": ["a", "b", "c", "d"][:written.input_dim]}, "differ in input_names")):
+        other = dataclasses.replace(written, **changes).save(tmp_path / "other.h5")
+        with pytest.raises(ValueError, match=f"runs.h5 and .*other.h5 {message}"):
+            readers.stored([paths[0], other])
 
 
 def test_a_dataset_is_what_every_reader_returns(tmp_path):

@@ -144,3 +144,44 @@ def test_a_held_out_tail_too_short_to_score_is_refused_before_the_fit():
     with pytest.raises(ValueError, match="2 delays and a horizon of 50 samples need 53 samples, the longest of 1 "
                                          "trajectories has 10"):
         data.prepare(CLOSED_FORM)
+
+
+def test_the_training_can_be_limited_to_some_decays_and_some_seconds_of_controlled_runs():
+    data = module(validation_share=0.0, decays=0, controlled_duration=2.5)
+    assert [(run.kind, run.length) for run in data.training] == [("controlled", 200), ("controlled", 50)]
+    assert [run.kind for run in module(validation_share=0.0, decays=1).training] == ["decay", *["controlled"] * 2]
+    with pytest.raises(ValueError, match="decays -1 and controlled_duration None s"):
+        module(decays=-1)
+
+
+def test_noise_is_on_training_runs_and_on_the_windows_of_validation_but_not_on_what_they_are_compared_with():
+    clean, noisy = (module(noise_std=level).prepare(GRADIENT) for level in (0.0, 0.1))
+    spread = noisy.training[1].observation - clean.training[1].observation
+    assert 0.09 < spread.std() < 0.11
+    (before,), (after,) = (list(data.val_dataloader()) for data in (clean, noisy))
+    assert torch.equal(before.outputs, after.outputs) and torch.equal(before.inputs, after.inputs)
+    assert 0.08 < float((after.window - before.window).std()) < 0.12
+    (again,) = noisy.val_dataloader()
+    assert torch.equal(again.window, after.window)
+    with pytest.raises(ValueError, match="noise_std is -1"):
+        module(noise_std=-1)
+
+
+def test_without_a_test_score_the_test_runs_are_not_there():
+    assert module(score_test=False).test == () and module().test
+
+
+def test_a_fit_with_its_own_horizon_and_starts_is_served_these_drawn_anew_each_epoch():
+    fit = SimpleNamespace(model=GRADIENT.model, horizon=0.2, starts=7)
+    data = module().prepare(fit)
+    (first,), (second,) = data.train_dataloader(), data.train_dataloader()
+    assert first.inputs.shape[:2] == (7, 20) and not torch.equal(first.window, second.window)
+
+
+def test_static_runs_are_served_to_the_procedure_that_asks_for_them_and_to_no_other():
+    still = run(30, kind="static")
+    for asks in (True, False):
+        procedure = SimpleNamespace(before=1, after=1, takes_static=asks)
+        data = module(dataset(still)).prepare(SimpleNamespace(model=GRADIENT.model, procedure=procedure))
+        kinds = {segment.kind for segment in data.train_dataloader()}
+        assert ("static" in kinds) == asks

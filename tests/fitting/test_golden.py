@@ -1,4 +1,4 @@
-"""The authors' published fits of the diamond robot, reproduced from their measurements."""
+"""The authors' published fits, reproduced from their measurements."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,12 @@ import scipy.io
 import torch
 
 from ssmr_torch.data.matlab import read_koopman_struct, read_ssmlearn_cells
-from ssmr_torch.data.windows import delay_windows
+from ssmr_torch.data.windows import Segment, delay_windows
 from ssmr_torch.fitting.dimension import captured_variance, dimension_by_gap, window_singular_values
+from ssmr_torch.fitting.koopman_least_squares import KoopmanLeastSquares
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
+from ssmr_torch.fitting.statistics import StreamedRegression
+from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.models.monomials import Monomials
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.published_models import read_ssmr_model
@@ -108,3 +111,27 @@ def test_the_published_reference_model_is_reproduced_by_reparametrization(decays
     stored = scipy.io.loadmat(measurements("diamond_hardware/reference_model.mat"))["py_data"][0, 0]["model"][0, 0]
     np.testing.assert_allclose(1e3 * signs[0] * fitted.control[0], stored["B"][0], rtol=1e-7)
     np.testing.assert_allclose(stored["B"][0], [-8.6632, -27.1401, 0.7256, 67.6812], atol=5e-5)
+
+
+def test_the_published_pregain_of_the_trunk_is_twice_the_ridge_solution_over_its_set_points(measurements):
+    """Theirs minimizes Σ ‖v - G y'‖² + ‖G‖² in scaled coordinates without a constant; the factor 2 is their slip. They
+    take each observation a sample before the last one of its input, and leave out the last set point.
+    """
+    static = read_koopman_struct(measurements("trunk_simulated/static.mat"))
+    model = scipy.io.loadmat(measurements("trunk_simulated/reference_dmd_pregain.mat"), simplify_cells=True)["py_data"]
+    scale = model["params"]["scale"]
+    y, u = ((static[name] - scale[f"{name}_offset"]) / scale[f"{name}_factor"] for name in ("y", "u"))
+    procedure = KoopmanLeastSquares(Koopman(8, 3, input_delays=0, constant=False, pregain=True))
+
+    def pregain(y, u):
+        segment = Segment(torch.from_numpy(y), torch.from_numpy(u), 0.01, (0, len(y) - 1), "static", 0, 0)
+        points, levels = procedure.regressions(segment, "pregain")["pregain"]
+        regression = StreamedRegression()
+        regression.accumulate(points[:, 1:], levels)
+        regression.accumulate(torch.eye(3, dtype=torch.float64), torch.zeros(3, 8, dtype=torch.float64))
+        return regression.solve(0.0)
+
+    theirs = pregain(y[:-1], u[1:])
+    assert theirs.rows == 100 + 3
+    np.testing.assert_allclose(2 * theirs.coefficients, model["model"]["G"], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(2 * pregain(y, u).coefficients, model["model"]["G"], rtol=0, atol=1e-3)

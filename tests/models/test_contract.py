@@ -54,7 +54,7 @@ def random_koopman(**options):
     with torch.no_grad():
         for table in model.parameters():
             table.copy_(0.3 / model.state_dim * torch.randn(table.shape, generator=generator, dtype=torch.float64))
-        model.A += 0.9 * torch.eye(model.state_dim, dtype=torch.float64)
+        model.A += 0.9 * torch.eye(model.state_dim, dtype=torch.float64)[model.propagated]
         model.scale.copy_(0.5 + torch.rand(model.scale.shape, generator=generator, dtype=torch.float64))
         model.state_scale.fill_(1.0)
     return model
@@ -97,6 +97,7 @@ MODELS = {
     "neural ODE, three hidden layers": lambda: random_neural_ode(width=8, depth=3, substeps=2),
     "DMD": lambda: random_koopman(),
     "EDMD": lambda: random_koopman(degree=2),
+    "EDMD, lifted anew": lambda: random_koopman(degree=2, bilinear=True, relift=True),
     "EDMD, bilinear": lambda: random_koopman(degree=2, bilinear=True, delays=2),
     "Koopman static pregain": lambda: random_koopman(input_delays=0, constant=False, pregain=True),
     "control-augmented": lambda: random_control_augmented(delays=2, parametrization_degree=2),

@@ -1,0 +1,61 @@
+"""Optuna under Hydra as a study that goes on where it was, in any number of processes."""
+
+import logging
+from pathlib import Path
+
+from hydra.plugins.sweeper import Sweeper
+from hydra.utils import instantiate
+
+PLUGIN = "hydra_plugins.hydra_optuna_sweeper._impl"
+
+
+class StudySweeper(Sweeper):
+    """The Optuna sweeper of Hydra's plugin, one trial at a time, on a study that is kept in a database.
+
+    n_trials: finished trials of the study, those of earlier runs and of other processes included; a trial that was
+    interrupted does not count. Each trial's job has the trial's number, and a sampler with a seed of its own, seed +
+    number: interrupted and resumed, one process tries what it would have tried at once.
+    Ends with a message where n_jobs is not 1, or the study was begun with other arguments.
+    """
+
+    def __init__(self, **options):
+        # imported here: Hydra looks at every plugin at every start, with or without Optuna
+        from hydra_plugins.hydra_optuna_sweeper._impl import OptunaSweeperImpl
+
+        class Trials(OptunaSweeperImpl):
+            def _configure_trials(self, trials, *space):
+                self.job_idx = trials[0].number
+                sampler = self.config.hydra.sweeper.sampler
+                trials[0].study.sampler = instantiate(sampler, seed=(sampler.seed or 0) + trials[0].number)
+                return super()._configure_trials(trials, *space)
+
+        if options["n_jobs"] != 1:
+            raise SystemExit(f"hydra.sweeper.n_jobs is {options['n_jobs']}; expected 1: to work in parallel, start the "
+                             "same command with the same hydra.sweep.dir again")
+        self.wanted = options["n_trials"]
+        self.trials = Trials(**options | {"n_trials": 1})
+
+    def setup(self, **context) -> None:
+        self.trials.setup(**context)
+
+    def sweep(self, arguments: list[str]) -> None:
+        import optuna
+
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        for talkative in (PLUGIN, "alembic"):
+            logging.getLogger(talkative).setLevel(logging.WARNING)
+        Path(self.trials.sweep_dir).mkdir(parents=True, exist_ok=True)
+        study = optuna.create_study(study_name=self.trials.study_name, storage=self.trials.storage, load_if_exists=True)
+        self._check_same(study, sorted([*self.trials._parse_sweeper_params_config(), *arguments]))
+        while len(finished := study.get_trials(False, (optuna.trial.TrialState.COMPLETE,))) < self.wanted:
+            best = f", best so far {min(trial.value for trial in finished):.4g}" if finished else ""
+            print(f"\ntrial {len(finished) + 1} of {self.wanted}{best}")
+            self.trials.sweep(arguments)
+
+    def _check_same(self, study, arguments: list[str]) -> None:
+        begun = study.user_attrs.get("arguments", arguments)
+        if begun != arguments:
+            then, now = sorted(set(begun) - set(arguments)), sorted(set(arguments) - set(begun))
+            raise SystemExit(f"the study in {self.trials.sweep_dir} was begun with {then}, now it is {now}; use "
+                             "another hydra.sweep.dir")
+        study.set_user_attr("arguments", arguments)

@@ -1,0 +1,290 @@
+"""Trajectory piecewise linear models from a finite-element robot: replay, proper orthogonal modes, linearized steps.
+
+inputs of the training data ─plant→ snapshots ─SVD→ basis ─worst one-step error first→ points ─linearize, project→ maps
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from scipy.linalg import expm
+from tqdm import tqdm
+
+from ssmr_torch.data.windows import Segment
+from ssmr_torch.fitting.dimension import captured_variance
+from ssmr_torch.fitting.exact import ExactSolve
+from ssmr_torch.fitting.fit import ModelFit
+from ssmr_torch.models.base import fill
+from ssmr_torch.models.tpwl import TPWL
+from ssmr_torch.plants.finite_element.robot import FiniteElementRobot
+
+FOREIGN = 0.02  # of the outputs' size: a replay that is further away is no longer that of the same robot
+
+
+class Snapshots(NamedTuple):
+    """States of the plant and what followed one step later: displacements from rest and velocities of the free degrees
+    of freedom, (S, N) m and m/s; inputs (S, m) N held in between; outputs (S, p) m.
+    """
+
+    displacement: np.ndarray
+    velocity: np.ndarray
+    input: np.ndarray
+    output: np.ndarray
+    next_displacement: np.ndarray
+    next_velocity: np.ndarray
+
+
+def proper_orthogonal_modes(displacements: np.ndarray, modes: int | str) -> tuple[np.ndarray, np.ndarray]:
+    """Basis (N, r), orthonormal in the Euclidean sense, of displacements from rest (S, N), and the variance that the
+    first k of all their directions capture. modes: r, or "variance:0.9999", the least number that captures it.
+
+    Raises ValueError where the snapshots do not span r directions.
+    """
+    _, values, directions = np.linalg.svd(displacements, full_matrices=False)
+    captured = captured_variance(values)
+    rank = int((values > 1e-12 * values[0]).sum())
+    size = modes if isinstance(modes, int) else int(np.argmax(captured >= _share(modes))) + 1
+    if size > rank:
+        raise ValueError(f"{size} modes are asked for, but the {len(displacements)} snapshots span {rank} directions; "
+                         "take fewer modes or more snapshots")
+    return directions[:size].T, captured
+
+
+def linearized_step(plant: FiniteElementRobot, displacement: np.ndarray, input: np.ndarray,
+                    basis: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A (2r, 2r), B (2r, m), c (2r,) of z⁺ = A z + B u + c, the plant's step linearized at a displacement of the free
+    degrees of freedom (N,) m from rest and at tensions (m,) N, z = [q̃, ṽ], by Galerkin projection on a basis (N, r).
+
+    For plants that step by backward Euler, with the tangent K, the warped stiffness K_w and D = α M + β K_w,
+
+        (M + h D + h² K_w) Δv = h [r − K (q − q_i) + H (u − u_i) − (D + h K_w) v],   v⁺ = v + Δv,   q⁺ = q + h v⁺;
+
+    for the others the exact flow of M q̈ + D q̇ + K (q − q_i) = r + H (u − u_i) over h with the input held.
+    """
+    structure, h, r = plant.structure, plant.timestep, basis.shape[1]
+    sparsity = structure.sparsity
+    positions = sparsity.scatter(sparsity.gather(plant.resting) + displacement, plant.resting)
+    full = structure.linearization(positions, input)
+    M, D, K = (basis.T @ product for product in (full.mass[:, None] * basis, full.damping @ basis,
+                                                 full.stiffness @ basis))
+    H = basis.T @ full.input_matrix
+    offset = basis.T @ full.residual + K @ (basis.T @ displacement) - H @ input
+    rates = np.column_stack([-K, -D, H, offset])
+    if structure.mechanics.law == "corotational":
+        warped = basis.T @ (sparsity.matrix(structure.warped_stiffness(positions)) @ basis)
+        rates[:, r:2 * r] -= h * warped
+        velocity = np.linalg.solve(M + h * D + h ** 2 * warped, h * rates)
+        velocity[:, r:2 * r] += np.eye(r)
+        step = np.vstack([h * velocity, velocity])
+        step[:r, :r] += np.eye(r)
+    else:
+        generator = np.zeros((rates.shape[1], rates.shape[1]))
+        generator[:r, r:2 * r] = np.eye(r)
+        generator[r:2 * r] = np.linalg.solve(M, rates)
+        step = expm(h * generator)[:2 * r]
+    return step[:, :2 * r], step[:, 2 * r:-1], step[:, -1]
+
+
+class PlantLinearization:
+    """Replays controlled training runs on the plant, from its rest, and linearizes its step along them.
+
+    modes: number, or "variance:0.9999", see `proper_orthogonal_modes`. points: at most; the next one is the snapshot
+    whose velocity after one step the model so far predicts worst, until that error is below `tolerance` times the rms
+    velocity. snapshots: kept at most, evenly spaced, so that memory does not grow with the data.
+    blend: width of the model over the median distance of a point from its nearest neighbour; 0: nearest point.
+    process_noise: factor of the covariance of the one-step errors, which the filter takes for process noise.
+    measurement_noise: standard deviation of each output, m, to which what the modes cannot show is added.
+    Raises ValueError for options out of range.
+    """
+
+    before = after = 0
+
+    def __init__(self, plant: FiniteElementRobot | None, *, modes: int | str = 21, points: int = 400,
+                 tolerance: float = 1e-3, snapshots: int = 1200, blend: float = 0.0, process_noise: float = 1.0,
+                 measurement_noise: float = 1e-5, progress: bool = True):
+        if not isinstance(modes, int):
+            _share(modes)
+        elif modes < 1:
+            raise ValueError(f"modes is {modes}; expected 1 or more")
+        if points < 1 or snapshots < points:
+            raise ValueError(f"{points} points out of {snapshots} snapshots; expected at least 1 point, and as many "
+                             "snapshots")
+        if min(tolerance, blend, process_noise) < 0 or not measurement_noise > 0:
+            raise ValueError(f"tolerance {tolerance}, blend {blend} and process_noise {process_noise} must not be "
+                             f"negative, measurement_noise ({measurement_noise} m) positive")
+        self.plant, self.modes, self.points, self.tolerance = plant, modes, int(points), float(tolerance)
+        self.snapshots, self.blend, self.progress = int(snapshots), float(blend), bool(progress)
+        self.process_noise, self.measurement_noise = float(process_noise), float(measurement_noise)
+        self.begin(0)
+
+    def begin(self, samples: int, outputs: Sequence[str] = ()) -> None:
+        """Forget all snapshots; `samples` controlled ones will be replayed, of these outputs of the plant."""
+        self._columns = [self.plant.output_names.index(name) for name in outputs]
+        self._every, self._seen, self._rows = max(-(-samples // self.snapshots), 1), 0, []
+        self._squared_error, self._squared_size = 0.0, 0.0
+
+    def replay(self, segment: Segment) -> None:
+        """Run the plant through the core samples of a controlled segment; the first of a run starts from rest."""
+        if segment.kind != "controlled":
+            return
+        if segment.index == 0:
+            self.plant.reset()
+        core = slice(*segment.core)
+        state = self._state()
+        for u, y in zip(segment.input[core].numpy(), segment.observation[core].numpy()):
+            before, seen = state, self.plant.displacement[self._columns]
+            self._squared_error += ((seen - y) ** 2).sum()
+            self._squared_size += (y ** 2).sum()
+            self.plant.step(u)
+            state = self._state()
+            if self._seen % self._every == 0:
+                self._rows.append((*before, u, seen, *state))
+            self._seen += 1
+
+    @property
+    def replay_error(self) -> float:
+        """‖y of the plant − y of the data‖ / ‖y of the data‖ so far."""
+        return (self._squared_error / max(self._squared_size, 1e-300)) ** 0.5
+
+    def tables(self) -> dict[str, np.ndarray | float]:
+        """Everything that a `TPWL` holds, by name, and its width."""
+        q, v, u, y, q_next, v_next = (np.stack(column) for column in zip(*self._rows))
+        seen = Snapshots(q, v, u, y, q_next, v_next)
+        self.basis, self.captured = proper_orthogonal_modes(seen.displacement, self.modes)
+        z, following = (np.hstack([a @ self.basis, b @ self.basis]) for a, b in ((q, v), (q_next, v_next)))
+        points, (A, B, c), errors = self._along(seen, z, following)
+        C = np.hstack([self.plant.output_matrix @ self.basis, np.zeros_like(self.plant.output_matrix @ self.basis)])
+        d = self.plant.resting[list(self.plant.markers.values())].ravel() - self.plant.rest
+        C, d = C[self._columns], d[self._columns]
+        unseen = y - z @ C.T - d
+        measurement = unseen.T @ unseen / len(y) + self.measurement_noise ** 2 * np.eye(y.shape[1])
+        return {"points": points, "A": A, "B": B, "c": c, "C": C, "d": d, "mean": z.mean(0),
+                "covariance": np.cov(z.T, bias=True), "process": self.process_noise * errors.T @ errors / len(errors),
+                "measurement": measurement, "state_scale": np.abs(z).max(0), "width": self.blend * _spacing(points)}
+
+    def _along(self, seen: Snapshots, z: np.ndarray, following: np.ndarray):
+        """Points (N, r), their maps, and the one-step errors (S − N, 2r) of the snapshots in between."""
+        r = self.basis.shape[1]
+        smallest = self.tolerance * np.sqrt((following[:, r:] ** 2).sum(1).mean())
+        distances, errors = np.full(len(z), np.inf), np.empty_like(z)
+        chosen, maps, worst = [], [], int((z[:, :r] ** 2).sum(1).argmin())
+        for _ in tqdm(range(min(self.points, len(z))), desc="linearize", unit=" points", disable=not self.progress):
+            A, B, c = linearized_step(self.plant, seen.displacement[worst], seen.input[worst], self.basis)
+            distance = ((z[:, :r] - z[worst, :r]) ** 2).sum(1)
+            nearer = distance < distances
+            distances[nearer] = distance[nearer]
+            errors[nearer] = z[nearer] @ A.T + seen.input[nearer] @ B.T + c - following[nearer]
+            chosen.append(worst)
+            maps.append((A, B, c))
+            left = np.linalg.norm(errors[:, r:], axis=1)
+            left[chosen] = 0.0
+            worst = int(left.argmax())
+            if left[worst] <= smallest:
+                break
+        between = np.delete(errors, chosen, axis=0) if len(chosen) < len(z) else errors
+        return z[chosen, :r], [np.stack(tables) for tables in zip(*maps)], between
+
+    def _state(self) -> tuple[np.ndarray, np.ndarray]:
+        sparsity = self.plant.structure.sparsity
+        velocities = self.plant.state[self.plant.positions.size:][:sparsity.size]
+        return sparsity.gather(self.plant.positions - self.plant.resting), velocities
+
+
+class TPWLFit(ModelFit):
+    """Linearizes a finite-element robot along the training data in one epoch; options as in `PlantLinearization`.
+
+    The plant must have the inputs and timestep of the data, and their outputs among its own. Raises ValueError at the
+    start of training where it has not, where there is none, or where there are no controlled runs.
+    remarks: sentences for the report. `solutions` stays empty, as nothing is regressed.
+    """
+
+    epochs = 1
+
+    def __init__(self, model: TPWL, *, plant: FiniteElementRobot | None = None, **options):
+        super().__init__(model)
+        self.procedure = PlantLinearization(plant, **options)
+        self.automatic_optimization = False
+        self.remarks: list[str] = []
+
+    def configure_optimizers(self) -> ExactSolve:
+        return ExactSolve(self.model.parameters())
+
+    def on_train_start(self) -> None:
+        if self.trainer.world_size > 1:
+            raise ValueError(f"{self.trainer.world_size} processes; TPWL replays runs one after the other: use one "
+                             "(trainer.devices=1)")
+        check_plant(self.procedure.plant, self.card, self.model)
+        runs = [run for run in self.trainer.datamodule.training if run.kind == "controlled"]
+        if not runs:
+            raise ValueError("no controlled runs among the training data; TPWL linearizes the plant along them")
+        self.procedure.begin(sum(run.length for run in runs), self.card["output_names"])
+
+    @torch.no_grad()
+    def training_step(self, segment: Segment, index: int) -> None:
+        self.procedure.replay(segment)
+        if not self.trainer.is_last_batch:
+            return
+        self._take(self.procedure.tables())
+        error = self.procedure.replay_error
+        self.log_dict({"fit/points": float(self.model.count), "fit/modes": float(self.model.modes),
+                       "fit/replay_error": error})
+        if error > FOREIGN:
+            self.remarks = [f"The plant, driven by the inputs of the data, moves otherwise: by {100 * error:.3g} % of "
+                            "the outputs. The model is that of the plant; choose its parameters closer to the robot's."]
+        self.optimizers().step()
+
+    def _take(self, tables: dict) -> None:
+        self.model.resize(tables["points"].shape[1], len(tables["points"]), tables.pop("width"))
+        fill([(getattr(self.model, name), values) for name, values in tables.items()])
+
+    def on_load_checkpoint(self, checkpoint: dict) -> None:
+        sizes = checkpoint["model"]["arguments"]
+        self.model.resize(sizes["modes"], sizes["points"], sizes["width"])
+
+
+def check_plant(plant, card: dict, model: TPWL) -> None:
+    """Raises ValueError unless the plant is a finite-element robot with the inputs, bounds and timestep of the data
+    that a card describes, and their outputs among its own. Inputs may have other names, in the same order.
+    """
+    if plant is None:
+        raise ValueError("TPWL linearizes the equations of a plant; name the one that the data are of, as plant=trunk")
+    if not isinstance(plant, FiniteElementRobot):
+        raise ValueError(f"the plant is a {type(plant).__name__}; TPWL linearizes a finite-element robot, such as "
+                         "plant=trunk or plant=diamond")
+    unknown = [name for name in card["output_names"] if name not in plant.output_names]
+    if unknown:
+        raise ValueError(f"the data have the outputs {unknown}, the plant {list(plant.output_names)}; leave them out "
+                         "by outputs=…, or give the plant these markers")
+    if (len(card["input_names"]), card["input_unit"]) != (len(plant.input_names), plant.input_unit):
+        raise ValueError(f"the data have the inputs {card['input_names']} in {card['input_unit']}, the plant "
+                         f"{list(plant.input_names)} in {plant.input_unit}; name the plant that the data are of")
+    if abs(model.base_timestep / plant.timestep - 1) > 1e-3:
+        raise ValueError(f"the model's base timestep is {model.base_timestep:g} s, the plant's timestep "
+                         f"{plant.timestep:g} s; set plant.timestep or model.base_timestep")
+    highest, bound = np.max(card["input_range"][1]), plant.input_bounds[1].max()
+    if (np.array(card["input_range"][1]) > plant.input_bounds[1] * (1 + 1e-9)).any():
+        raise ValueError(f"the inputs of the data reach {highest:g} {plant.input_unit}, those of the plant end at "
+                         f"{bound:g} {plant.input_unit}; set plant.input_bounds")
+
+
+def _share(rule: str) -> float:
+    name, _, share = str(rule).partition(":")
+    try:
+        value = float(share)
+    except ValueError:
+        value = 0.0
+    if name != "variance" or not 0 < value < 1:
+        raise ValueError(f'modes is {rule!r}; expected a number, or a rule such as "variance:0.9999"')
+    return value
+
+
+def _spacing(points: np.ndarray) -> float:
+    """Median distance of a point from its nearest neighbour, 0 for a single one."""
+    if len(points) < 2:
+        return 0.0
+    squared = ((points[:, None] - points) ** 2).sum(-1)
+    np.fill_diagonal(squared, np.inf)
+    return float(np.sqrt(np.median(squared.min(1))))
