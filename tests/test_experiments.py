@@ -207,8 +207,8 @@ def test_a_study_ends_with_a_table_and_a_figure_of_its_scores(line):
 
 @pytest.mark.slow
 def test_the_delay_study_takes_the_record_of_a_closed_loop(line):
-    text = run("delay_study", "data.path=collect/trajectories.h5", "record=control/0/record.h5", "manifold.delays=[2,8]",
-               "hydra.run.dir=delays", cwd=line)
+    text = run("delay_study", "data.path=collect/trajectories.h5", "record=control/0/record.h5",
+               "manifold.delays=[2,8]", "hydra.run.dir=delays", cwd=line)
     rows = json.loads((line / "delays" / "delays.json").read_text())["rows"]
     assert [(row["delays"], row["reparametrized"]) for row in rows] == [(2, False), (2, True), (8, False), (8, True)]
     assert rows[2]["error"] > rows[0]["error"] and rows[2]["error"] > rows[3]["error"] and "reparametrized" in text

@@ -6,8 +6,10 @@ import math
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import linear
 
 from ssmr_torch.models.base import ContinuousTimeModel, OutputLinearization, fill
+from ssmr_torch.models.integrators import rk4_step
 from ssmr_torch.models.neural_tables import NeuralTables
 
 
@@ -58,41 +60,56 @@ class NeuralODE(ContinuousTimeModel):
     def decode(self, z: Tensor) -> Tensor:
         return z @ self.parametrization.T
 
-    def _layers(self, z: Tensor) -> list[Tensor]:
-        layers = [torch.tanh(z / self.state_scale @ self.first_weight.T + self.biases[0])]
-        for layer in range(self.depth - 1):
-            layers.append(torch.tanh(layers[-1] @ self.hidden_weight[layer].T + self.biases[layer + 1]))
+    def _tables(self) -> tuple[Tensor, Tensor, Tensor]:
+        """W_1 diag(state_scale)⁻¹, and table (n (1 + m), n + w), constant (n (1 + m),) of [f, G] = table · [z, h_L] +
+        constant.
+        """
+        n, m = self.state_dim, self.input_dim
+        affine = self.control.unflatten(-1, (1 + n, m)).transpose(1, 2)
+        linear = torch.cat([self.linear[:, None], affine[..., 1:]], dim=1)
+        constant = torch.cat([torch.zeros_like(affine[:, :1, 0]), affine[..., 0]], dim=1)
+        network = self.last.unflatten(0, (n, 1 + m)) * self.state_scale[:, None, None]
+        return (self.first_weight / self.state_scale, torch.cat([linear, network], dim=-1).flatten(0, 1),
+                constant.flatten())
+
+    def _layers(self, z: Tensor, first: Tensor) -> list[Tensor]:
+        layers = [torch.tanh(linear(z, first, self.biases[0]))]
+        for weight, bias in zip(self.hidden_weight, self.biases[1:]):
+            layers.append(torch.tanh(linear(layers[-1], weight, bias)))
         return layers
 
-    def _network(self, z: Tensor) -> Tensor:
-        """f and G without their linear part, (..., n, 1 + m)."""
-        values = self._layers(z)[-1] @ self.last.T
-        return values.unflatten(-1, (self.state_dim, 1 + self.input_dim)) * self.state_scale[:, None]
-
-    def _linear_control(self, z: Tensor) -> Tensor:
-        table = self.control.unflatten(-1, (1 + self.state_dim, self.input_dim))
-        return table[:, 0] + torch.einsum("...q,nqm->...nm", z, table[:, 1:])
+    def _affine(self, z: Tensor, tables: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+        """[f, G], (..., n, 1 + m)."""
+        first, table, constant = tables
+        values = linear(torch.cat([z, self._layers(z, first)[-1]], dim=-1), table, constant)
+        return values.unflatten(-1, (self.state_dim, 1 + self.input_dim))
 
     def drift(self, z: Tensor) -> Tensor:
-        return z @ self.linear.T + self._network(z)[..., 0]
+        return self._affine(z, self._tables())[..., 0]
 
     def control_field(self, z: Tensor) -> Tensor:
-        return self._linear_control(z) + self._network(z)[..., 1:]
+        return self._affine(z, self._tables())[..., 1:]
 
     def rate(self, z: Tensor, u: Tensor) -> Tensor:
-        values = self._network(z)
-        field = self._linear_control(z) + values[..., 1:]
-        return z @ self.linear.T + values[..., 0] + (field @ u[..., None])[..., 0]
+        return self._rate(z, _with_one(u), self._tables())
+
+    def _rate(self, z: Tensor, weights: Tensor, tables: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+        return (self._affine(z, tables) @ weights)[..., 0]
+
+    def step(self, z: Tensor, u: Tensor) -> Tensor:
+        # the tables are put together once for all stages of the step
+        weights, tables = _with_one(u), self._tables()
+        return rk4_step(lambda x: self._rate(x, weights, tables), z, self.timestep, self.substeps)
 
     def rate_jacobian(self, z: Tensor, u: Tensor) -> Tensor:
-        layers = self._layers(z)
-        J = (1 - layers[0] ** 2)[..., None] * (self.first_weight / self.state_scale)
-        for layer in range(1, self.depth):
-            J = (1 - layers[layer] ** 2)[..., None] * (self.hidden_weight[layer - 1] @ J)
-        J = (self.last @ J).unflatten(-2, (self.state_dim, 1 + self.input_dim)) * self.state_scale[:, None, None]
-        table = self.control.unflatten(-1, (1 + self.state_dim, self.input_dim))[:, 1:]
-        return (self.linear + J[..., 0, :] + torch.einsum("nqm,...m->...nq", table, u)
-                + torch.einsum("...njq,...j->...nq", J[..., 1:, :], u))
+        first, table, _ = self._tables()
+        layers = self._layers(z, first)
+        J = (1 - layers[0] ** 2)[..., None] * first
+        for layer, weight in zip(layers[1:], self.hidden_weight):
+            J = (1 - layer**2)[..., None] * (weight @ J)
+        table = table.unflatten(0, (self.state_dim, 1 + self.input_dim)).transpose(1, 2)
+        held = (table @ _with_one(u)[..., None, :, :])[..., 0]
+        return held[..., :self.state_dim] + held[..., self.state_dim:] @ J
 
     def linearize_output(self, z: Tensor) -> OutputLinearization:
         C = self.parametrization.expand(*z.shape[:-1], -1, -1)
@@ -108,3 +125,8 @@ class NeuralODE(ContinuousTimeModel):
         model = cls(tables.state_dim, width=len(tables.first_weight), depth=len(tables.biases), **scalars)
         fill([(getattr(model, name), getattr(tables, name)) for name in tables.array_names()])
         return model
+
+
+def _with_one(u: Tensor) -> Tensor:
+    """[1, u] as a column, (..., m) → (..., 1 + m, 1)."""
+    return torch.cat([torch.ones_like(u[..., :1]), u], dim=-1)[..., None]
