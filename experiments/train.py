@@ -23,13 +23,10 @@ def objective(config, scores):
     return scores.get(config.metric)
 
 
-def scored_runs(config, dataset, model):
-    """Scores on each controlled run of a further file, and how far it leaves the training data."""
-    if config.runs is None:
-        return []
-    further = TrajectoryDataset.load(config.runs).observing(dataset.output_names).select(kind="controlled")
-    return score_runs(config.name, model, further, dataset.select("train", "controlled"),
-                      starts=config.module.starts, seed=config.seed)
+def further_runs(config, dataset):
+    """The controlled runs of the file that a study is to be scored on, run by run; none without."""
+    path = OmegaConf.select(config, "study.runs", throw_on_missing=True)
+    return TrajectoryDataset.load(path).observing(dataset.output_names).select(kind="controlled") if path else ()
 
 
 @entry_point("train")
@@ -38,6 +35,7 @@ def main(config, directory):
         raise ValueError(f"metric is {config.metric!r}; models are chosen by validation, never by the test runs")
     lightning.seed_everything(config.seed, workers=True, verbose=False)
     dataset = instantiate(config.data).observing(config.outputs)
+    further = further_runs(config, dataset)
     loggers = [instantiate(logger) for logger in config.logger.values()]
     configuration = OmegaConf.to_container(config, resolve=True)
     origin = provenance(configuration) | {"name": config.name}
@@ -61,8 +59,9 @@ def main(config, directory):
         figures.save(figure, directory / f"{name}.svg")
     print(training.summary())
     score = objective(config, training.scores)
-    save_result(directory, {config.metric: score} | training.scores, name=config.name, cost=training.cost,
-                runs=scored_runs(config, dataset, training.model))
+    runs = score_runs(config.name, training.model, further, dataset.select("train", "controlled"),
+                      starts=config.module.starts, seed=config.seed)
+    save_result(directory, {config.metric: score} | training.scores, name=config.name, cost=training.cost, runs=runs)
     return score
 
 

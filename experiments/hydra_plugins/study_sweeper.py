@@ -1,12 +1,14 @@
 """Optuna under Hydra as a study that goes on where it was, in any number of processes."""
 
+import fcntl
 import logging
 from pathlib import Path
 
 from hydra.plugins.sweeper import Sweeper
 from hydra.utils import instantiate
 
-PLUGIN = "hydra_plugins.hydra_optuna_sweeper._impl"
+for talkative in ("hydra_plugins.hydra_optuna_sweeper._impl", "alembic"):
+    logging.getLogger(talkative).setLevel(logging.WARNING)
 
 
 class StudySweeper(Sweeper):
@@ -42,11 +44,13 @@ class StudySweeper(Sweeper):
         import optuna
 
         optuna.logging.set_verbosity(optuna.logging.WARNING)
-        for talkative in (PLUGIN, "alembic"):
-            logging.getLogger(talkative).setLevel(logging.WARNING)
-        Path(self.trials.sweep_dir).mkdir(parents=True, exist_ok=True)
-        study = optuna.create_study(study_name=self.trials.study_name, storage=self.trials.storage, load_if_exists=True)
-        self._check_same(study, sorted([*self.trials._parse_sweeper_params_config(), *arguments]))
+        directory = Path(self.trials.sweep_dir)
+        directory.mkdir(parents=True, exist_ok=True)
+        with open(directory / "study.lock", "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # two processes that make one database at once would fail
+            study = optuna.create_study(study_name=self.trials.study_name, storage=self.trials.storage,
+                                        load_if_exists=True)
+            self._check_same(study, sorted([*self.trials._parse_sweeper_params_config(), *arguments]))
         while len(finished := study.get_trials(False, (optuna.trial.TrialState.COMPLETE,))) < self.wanted:
             best = f", best so far {min(trial.value for trial in finished):.4g}" if finished else ""
             print(f"\ntrial {len(finished) + 1} of {self.wanted}{best}")

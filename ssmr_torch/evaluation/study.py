@@ -22,6 +22,8 @@ def score_runs(name: str, model, runs: Sequence, training: Sequence, *, starts: 
     error over the horizon, m, None where a rollout diverged; "diverged": the share of those over 1 s.
     Starts lie 0.2 s or more after the beginning of a run, the same ones for every model whose window is not longer.
     """
+    if not runs:
+        return []
     runs, known = [run.read() for run in runs], _motion([run.read() for run in training], outputs)
     rows = []
     for run in runs:
