@@ -88,7 +88,8 @@ def read_koopman_model(path: str | Path, *, rest: Sequence[float], length_unit: 
 
     Theirs is x⁺ = A x + B v, v = G y' at rest, in scaled absolute coordinates x = [y'_k, …, y'_{k-n_d}],
     y' = (y - offset) / factor, v = (u - offset) / factor. Of the displacement from rest it is affine, so that our z is
-    [1, (y - rest) / factor, …]; it predicts the same, and G is taken as it stands in the file.
+    [1, (y - rest) / factor, …]; it predicts the same. G is taken as it stands in the file, which does not tell its set
+    points: outputs that a task does not prescribe are to stay at rest.
     rest: absolute, m (p,). length_unit, input_unit: theirs in m and N (or 1 for normalized commands).
     Raises FileNotFoundError, or ValueError when the file is not such a model, lifts by more than delays, or disagrees
     with the rest.
@@ -118,8 +119,8 @@ def read_koopman_model(path: str | Path, *, rest: Sequence[float], length_unit: 
         # their data fill -1 … 1 about the offset
         state_scale=np.r_[1.0, 1.0 + np.abs(shift)], scale=np.tile(length_unit * factor, delays + 1), A=affine,
         B=np.vstack([np.zeros(m), B / (input_unit * u_factor)]), N=np.zeros((0, 1 + size, 1 + size)),
-        pregain=input_unit * pregain, degree=1, input_delays=0, constant=True, input_dim=m, output_dim=p,
-        delays=delays, timestep=timestep, window_timestep=timestep, base_timestep=timestep)
+        pregain=input_unit * pregain, set_points=np.eye(1 + p), degree=1, input_delays=0, constant=True, input_dim=m,
+        output_dim=p, delays=delays, timestep=timestep, window_timestep=timestep, base_timestep=timestep)
 
 
 @contextmanager

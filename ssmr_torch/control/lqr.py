@@ -19,10 +19,11 @@ class StaticPregainController:
     """u = G [1, ŷ] − K (z − ẑ), clipped to the bounds (paper, "Koopman static pregain"; Haggerty et al. 2023).
 
     G: the model's pregain, u = G [1, y] at rest; cables pull only, so its constant is what they pull in common. ŷ:
-    reference now, ẑ: chart of the reference's own window. Outputs that the task does not prescribe are taken as
-    measured in both. K: gain of the linear-quadratic regulator for Σ ‖y‖²_Q + ‖u‖²_R of the model at the control
-    period: the stationary one, or with `horizon` N the first of the finite-horizon recursion over N steps; a constant
-    among the states, which is the same in z and ẑ, is left out of it.
+    reference now, ẑ: chart of the reference's own window. Outputs that the task does not prescribe take in both the
+    values that set points with the prescribed ones have on average; measured ones would feed G back into itself.
+    K: gain of the linear-quadratic regulator for Σ ‖y‖²_Q + ‖u‖²_R of the model at the control period: the stationary
+    one, or with `horizon` N the first of the finite-horizon recursion over N steps; a constant among the states, which
+    is the same in z and ẑ, is left out of it.
 
     model: NumPy `KoopmanTables` without bilinear terms, of degree one and with a pregain. task, input_bounds, timestep,
     period, output_weight (1/m²), input_weight (1/N²), safe_input: as in `ModelPredictiveController`.
@@ -31,7 +32,7 @@ class StaticPregainController:
     """
 
     def __init__(self, model, task, input_bounds, *, timestep: float | None = None, output_names=None,
-                 period: float = 0.02, output_weight: float = OUTPUT_WEIGHT, input_weight: float = 1e4,
+                 period: float = 0.02, output_weight: float = OUTPUT_WEIGHT, input_weight: float = 100.0,
                  horizon: int | None = None, safe_input=None):
         if not len(getattr(model, "pregain", ())) or len(model.N) or model.degree > 1:
             raise ValueError("this controller takes a linear Koopman model with a pregain; train one with "
@@ -42,6 +43,7 @@ class StaticPregainController:
         self._stride = whole_steps("the model's window_timestep", model.window_timestep, self.timestep)
         self.bounds = np.array(input_bounds, dtype=np.float64)
         self.model, self.task, self.columns = model, task, list(task.columns(output_names))
+        self.completion = completion(model.set_points, self.columns)
         weight = np.zeros(model.output_dim)
         weight[self.columns] = output_weight
         A, B, _ = model.at_timestep(period).linearize(np.zeros(model.state_dim), np.zeros(model.input_dim))
@@ -80,13 +82,16 @@ class StaticPregainController:
         self._sample += 1
         return command
 
+    def completed(self, reference: np.ndarray) -> np.ndarray:
+        """All outputs (..., p) that go with the prescribed ones (..., t)."""
+        return np.concatenate([np.ones_like(reference[..., :1]), reference], axis=-1) @ self.completion
+
     def _decide(self, time: float) -> Command:
         model = self.model
         window = np.stack(list(self._observations)[::self._stride])
         held = np.stack(list(self._inputs)[::self._stride]) if model.delays else np.empty((0, model.input_dim))
-        wanted = window.copy()
         ages = model.window_timestep * np.arange(model.delays, -1, -1)
-        wanted[:, self.columns] = self.task.reference(np.maximum(time - ages, 0.0))
+        wanted = self.completed(self.task.reference(np.maximum(time - ages, 0.0)))
         with np.errstate(over="ignore", invalid="ignore"):
             error = model.encode(window, held) - model.encode(wanted, held)
             intended = model.pregain @ np.r_[1.0, wanted[-1]] - self.gain @ error
@@ -94,6 +99,16 @@ class StaticPregainController:
             self.fallbacks[Status.NOT_FINITE] += 1
             return Command(self.safe_input.copy(), fallback=Status.NOT_FINITE)
         return Command(np.clip(intended, *self.bounds))
+
+
+def completion(set_points: np.ndarray, columns: list[int]) -> np.ndarray:
+    """(1 + t, p): [1, the t prescribed outputs] @ completion = all outputs, the others by linear regression over set
+    points of which `set_points` (1 + p, 1 + p) is the factor of [1, y].
+    """
+    given = [0, *(1 + column for column in columns)]
+    table = np.linalg.lstsq(set_points[:, given], set_points[:, 1:], rcond=None)[0]
+    table[:, columns] = np.eye(len(given))[:, 1:]
+    return table
 
 
 def regulator_gain(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray,

@@ -92,7 +92,9 @@ class KoopmanLeastSquares(nn.Module):
             rms = torch.linalg.vector_norm(solution.factor.triangle, dim=0) / max(solution.rows, 1) ** 0.5
             model.scale.copy_(torch.where(rms > 0, rms, torch.ones_like(rms)))
         elif stage == "pregain":
+            size = 1 + model.output_dim
             model.pregain.copy_(solution.coefficients)
+            model.set_points.copy_(solution.factor.triangle[:size, :size] / solution.rows**0.5)
         else:
             self._assign_transition(solution.coefficients.clone())
 

@@ -51,6 +51,7 @@ class Koopman(DiscreteTimeModel):
         self.register_buffer("scale", torch.ones(observables, dtype=torch.float64))
         self.A, self.B, self.N = table(rows, size), table(rows, m), table(m if bilinear else 0, rows, size)
         self.register_buffer("pregain", torch.zeros(m if pregain else 0, 1 + self.output_dim, dtype=torch.float64))
+        self.register_buffer("set_points", torch.eye(1 + self.output_dim, dtype=torch.float64)[:None if pregain else 0])
 
     @property
     def arguments(self) -> dict:

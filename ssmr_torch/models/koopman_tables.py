@@ -18,7 +18,8 @@ class KoopmanTables(DiscreteTimeTables):
 
     scale ((n_d + 1) p + n_u m,), A (N, N), B (N, m), N (m, N, N) of the bilinear variant, else (0, N, N); with relift,
     z⁺ = ψ(A z + …) and the rows of A, B, N are those of ζ / scale alone;
-    pregain G (m, 1 + p) of u = G [1, y] at rest, else (0, 1 + p): float64, SI.
+    pregain G (m, 1 + p) of u = G [1, y] at rest, else (0, 1 + p); set_points (1 + p, 1 + p) of those behind it, else
+    (0, 1 + p): triangular factor of the mean of [1, y]ᵀ [1, y]. float64, SI.
     """
 
     scale: np.ndarray
@@ -26,6 +27,7 @@ class KoopmanTables(DiscreteTimeTables):
     B: np.ndarray
     N: np.ndarray
     pregain: np.ndarray
+    set_points: np.ndarray
     degree: int
     input_delays: int
     constant: bool

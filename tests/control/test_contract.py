@@ -21,9 +21,10 @@ def lifted(model):
     pregain = np.zeros((4, 7))
     pregain[:, 1:3] = np.linalg.pinv(static)
     pregain[:, 0] = common - np.linalg.pinv(static) @ static @ common
-    return KoopmanTables(scale=np.ones(6), A=A, B=B, N=np.zeros((0, 6, 6)), pregain=pregain, degree=1, input_delays=0,
-                         constant=False, state_scale=model.state_scale, input_dim=4, output_dim=6, delays=0,
-                         timestep=model.timestep, window_timestep=model.window_timestep, base_timestep=model.timestep)
+    return KoopmanTables(scale=np.ones(6), A=A, B=B, N=np.zeros((0, 6, 6)), pregain=pregain, set_points=np.eye(7),
+                         degree=1, input_delays=0, constant=False, state_scale=model.state_scale, input_dim=4,
+                         output_dim=6, delays=0, timestep=model.timestep, window_timestep=model.window_timestep,
+                         base_timestep=model.timestep)
 
 
 CONTROLLERS = {

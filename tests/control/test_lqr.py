@@ -6,7 +6,7 @@ from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
 
 from ssmr_torch.closed_loop import simulate
-from ssmr_torch.control.lqr import STATE_WEIGHT, StaticPregainController, regulator_gain
+from ssmr_torch.control.lqr import STATE_WEIGHT, StaticPregainController, completion, regulator_gain
 from ssmr_torch.models.koopman_tables import KoopmanTables
 from ssmr_torch.status import Status
 from ssmr_torch.tasks.references import figure_eight
@@ -22,10 +22,20 @@ def damped_masses(**changes):
     I, Z = np.eye(2), np.zeros((2, 2))
     A = np.block([[(2 - h * d - h * h * k) * I, (h * d - 1) * I], [I, Z]])
     options = {"scale": np.ones(4), "A": A, "B": np.vstack([h * h * b * I, Z]), "N": np.zeros((0, 4, 4)),
-               "pregain": np.hstack([np.ones((2, 1)), k / b * I]), "degree": 1, "input_delays": 0, "constant": False,
+               "pregain": np.hstack([np.ones((2, 1)), k / b * I]), "set_points": np.eye(3),
+               "degree": 1, "input_delays": 0, "constant": False,
                "state_scale": np.full(4, 0.05), "input_dim": 2, "output_dim": 2, "delays": 1, "timestep": 0.01,
                "window_timestep": 0.01, "base_timestep": 0.01}
     return KoopmanTables(**options | changes)
+
+
+def three_masses(set_points):
+    """The same two masses, and a third output that rests."""
+    two = damped_masses()
+    A, B = np.zeros((6, 6)), np.zeros((6, 2))
+    A[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])], B[[0, 1, 3, 4]] = two.A, two.B
+    return damped_masses(scale=np.ones(6), A=A, B=B, N=np.zeros((0, 6, 6)), state_scale=np.full(6, 0.05), output_dim=3,
+                         pregain=np.hstack([two.pregain, [[50.0], [-20.0]]]), set_points=set_points)
 
 
 class Plant:
@@ -101,6 +111,23 @@ def test_a_measurement_that_is_not_finite_gives_the_safe_input_and_is_counted():
     for k in range(1, 6):
         command = controller(0.01 * k, np.zeros(2))
     assert command.fallback is None
+
+
+def test_outputs_that_the_task_leaves_free_are_those_of_set_points_on_average_and_never_the_measured_ones():
+    """Over set points y2 = 3 + 2 y1 (mm): the pregain sees that, whatever y2 is measured."""
+    task = figure_eight(tracked=("tip_x", "tip_y"), amplitude=0.01, angular_speed=1.0, laps=1.0)
+    rng = np.random.default_rng(0)
+    y = 0.01 * rng.normal(size=(40, 2))
+    points = np.column_stack([np.ones(40), y, 3e-3 + y @ [2.0, -1.0]])
+    completed = points[:, :3] @ completion(np.linalg.qr(points).R, [0, 1])
+    np.testing.assert_allclose(completed, points[:, 1:], atol=1e-12)
+    model = three_masses(np.linalg.qr(points).R)
+    there = np.r_[task.reference(np.array([0.0]))[0], 0.0]
+    for measured in (0.0, 0.02):
+        controller = StaticPregainController(model, task, BOUNDS, output_names=(*NAMES, "tip_z"), input_weight=1e30)
+        there[2] = measured
+        expected = model.pregain @ np.r_[1.0, there[:2], 3e-3 + there[:2] @ [2.0, -1.0]]
+        np.testing.assert_allclose(controller(0.0, there).input, expected, rtol=1e-9)
 
 
 def test_a_constant_among_the_states_changes_no_input():

@@ -173,6 +173,7 @@ def test_the_pregain_is_the_ridge_solution_over_the_set_points(solve_stages, row
     size = np.diag((y**2).sum(0))
     expected = np.linalg.solve(y.T @ y + 1e-3 * size, y.T @ u).T
     np.testing.assert_allclose(model.pregain.numpy(), expected, rtol=1e-9)
+    np.testing.assert_allclose((model.set_points.T @ model.set_points).numpy(), y.T @ y / 12, rtol=1e-9)
 
 
 def test_rounding_of_the_recorded_inputs_makes_no_set_points(solve_stages):
