@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from time import perf_counter
 
@@ -15,13 +16,21 @@ from ssmr_torch.models.base import ReducedModel
 
 
 class GradientFit(ModelFit):
-    """Refines a model by the multi-step rollout loss, mean_k ‖ŷ_k - y_k‖² / ‖y‖²_rms, from where it stands.
+    """Refines a model from where it stands by the multi-step rollout loss
 
-    The rollouts grow from `first_share` of their horizon to all of it over the first half of the epochs. The fit ends
-    when `patience` validations in a row bring nothing better, or after `minutes`; the best epoch is kept.
+        mean over starts and steps k of ‖ŷ_k - y_k‖² / σ_k²,
 
-    learning_rate: relative to the size of each coefficient's contribution, see `ScaledAdam`. frozen: names of
-    parameters that keep their values (the chart and the parametrization's geometry by default).
+    with σ_k the error k steps ahead, on the first batch, of the model that the fit starts from, so that short and long
+    horizons count alike. The rollouts grow from `first_share` of their horizon to all of it over the first half of the
+    fit, and the learning rate falls to zero along a cosine over all of it. The fit takes `epochs` epochs or `minutes`
+    minutes, whichever ends first, or ends when `patience` validations in a row bring nothing better; the best epoch is
+    kept.
+
+    learning_rate: relative to the size of each coefficient's contribution, see `table_scales`. horizon: of the
+    rollouts, s; None: the data module's. frozen: names of parameters that keep their values (the chart and the
+    parametrization's geometry by default). weight_decay: pulls all trained coefficients to zero, in units of their
+    scales [Adam's L2 penalty]. gradient_clip: largest norm of the gradient in these units.
+    Raises ValueError for settings that mean nothing, and at its start for a model that was not fitted before.
     """
 
     selects = True
@@ -43,53 +52,88 @@ class GradientFit(ModelFit):
             raise ValueError(f"frozen names {unknown}, but the model's parameters are {sorted(known)}")
         self.epochs, self.learning_rate, self.gradient_clip = int(epochs), float(learning_rate), gradient_clip
         self.weight_decay, self.first_share = float(weight_decay), float(first_share)
-        self.patience, self.minutes, self._begun = patience, minutes, 0.0
+        self.patience, self.minutes = patience, minutes
         if horizon is not None:
             self.horizon = float(horizon)
+        self._begun: float | None = None
         self._best, self._waited = float("inf"), 0
-        for name in frozen:
-            known[name].requires_grad_(False)
-        self.register_buffer("output_power", torch.zeros((), dtype=torch.float64))
+        self._start_power: Tensor | None = None
+        for name, parameter in known.items():
+            parameter.requires_grad_(name not in frozen)
 
     def configure_optimizers(self):
         trained = {name: p for name, p in self.model.named_parameters() if p.requires_grad}
         scales = table_scales(self.model)
         optimizer = ScaledAdam([{"params": [p], "scale": scales.get(name)} for name, p in trained.items()],
                                lr=self.learning_rate, weight_decay=self.weight_decay)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, self.epochs)
+        schedule = torch.optim.lr_scheduler.LambdaLR(
+            optimizer, lambda epoch: 0.5 * (1 + math.cos(math.pi * self._progress(epoch))))
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "epoch"}}
 
-    def training_step(self, batch: RolloutBatch, index: int) -> Tensor:
-        if self.output_power == 0:
-            self.output_power.copy_(batch.outputs.square().sum(-1).mean())
-        batch = self._shortened(batch)
-        rollout = self.model.rollout(self.model.encode(batch.window, batch.window_inputs), batch.inputs)
-        error = (self.model.decode(rollout.states[..., 1:, :]) - batch.outputs).square().sum(-1).mean(-1)
-        loss = error.mean() / self.output_power
-        self.log("train/loss", loss, prog_bar=True, batch_size=len(error))
-        self.log("train/diverged", (rollout.diverged_at <= batch.inputs.shape[-2]).double().mean(),
-                 batch_size=len(error))
-        return loss
+    def on_fit_start(self) -> None:
+        super().on_fit_start()
+        if self.model.state_scale.isinf().any():
+            raise ValueError("the range of the training states is not known: this model was not fitted; put its "
+                             "closed form before the gradient fit, as fit=rollout and fit=neural_ode do")
 
     def on_train_start(self) -> None:
         self._begun = perf_counter()
 
+    def training_step(self, batch: RolloutBatch, index: int) -> Tensor:
+        if self._start_power is None:
+            with torch.no_grad():
+                self._start_power = self._squares(batch)[0].mean(0).clamp_min(1e-300)
+        squares, diverged = self._squares(self._shortened(batch))
+        loss = (squares.mean(0) / self._start_power[:squares.shape[-1]].to(squares)).mean()
+        self.log("train/loss", loss, prog_bar=True, batch_size=len(squares))
+        self.log("train/diverged", diverged.double().mean(), batch_size=len(squares))
+        return loss
+
+    def _squares(self, batch: RolloutBatch) -> tuple[Tensor, Tensor]:
+        """‖ŷ_k - y_k‖² (N, H), m², and whether each rollout diverged (N,)."""
+        rollout = self.model.rollout(self.model.encode(batch.window, batch.window_inputs), batch.inputs)
+        squares = (self.model.decode(rollout.states[..., 1:, :]) - batch.outputs).square().sum(-1)
+        return squares, rollout.diverged_at <= batch.inputs.shape[-2]
+
+    def _progress(self, epoch: int) -> float:
+        """Share of the fit that is done, of its epochs or of its minutes, whichever is more."""
+        share = epoch / self.epochs
+        if self.minutes is not None and self._begun is not None:
+            share = max(share, (perf_counter() - self._begun) / (60 * self.minutes))
+        return min(share, 1.0)
+
     def _shortened(self, batch: RolloutBatch) -> RolloutBatch:
-        share = min(1.0, self.first_share + (1 - self.first_share) * 2 * self.current_epoch / self.epochs)
+        share = min(1.0, self.first_share + (1 - self.first_share) * 2 * self._progress(self.current_epoch))
         steps = max(round(share * batch.inputs.shape[1]), 1)
         return RolloutBatch(batch.window, batch.window_inputs, batch.inputs[:, :steps], batch.outputs[:, :steps])
 
+    def on_train_batch_end(self, outputs, batch: RolloutBatch, index: int) -> None:
+        late = self.minutes is not None and perf_counter() - self._begun > 60 * self.minutes
+        self._stop_where(late)
+
     def on_validation_epoch_end(self) -> None:
-        """Stop when nothing better came for `patience` epochs, or the time is up."""
+        """Stop when nothing better came for `patience` epochs."""
         found = self.trainer.callback_metrics.get("validation/rmse")
         if found is None or self.trainer.state.fn != "fit":
             return
         self._waited = 0 if float(found) < self._best else self._waited + 1
         self._best = min(self._best, float(found))
-        late = self.minutes is not None and perf_counter() - self._begun > 60 * self.minutes
-        self.trainer.should_stop = late or (self.patience is not None and self._waited >= self.patience)
+        self._stop_where(self.patience is not None and self._waited >= self.patience)
+
+    def _stop_where(self, reached: bool) -> None:
+        """Processes stop together, or one would wait for another for ever."""
+        if self.trainer.strategy.reduce_boolean_decision(reached, all=False):
+            self.trainer.should_stop = True
 
     def configure_gradient_clipping(self, optimizer, gradient_clip_val=None, gradient_clip_algorithm=None) -> None:
         """Clip the gradient of the scaled coefficients, whose sizes are comparable."""
         optimizer = getattr(optimizer, "optimizer", optimizer)
         optimizer.clip(self.gradient_clip)
+
+    def on_save_checkpoint(self, checkpoint: dict) -> None:
+        super().on_save_checkpoint(checkpoint)
+        checkpoint["gradient_fit"] = {"start_power": self._start_power, "best": self._best, "waited": self._waited}
+
+    def on_load_checkpoint(self, checkpoint: dict) -> None:
+        kept = checkpoint["gradient_fit"]
+        self._start_power, self._best, self._waited = kept["start_power"], kept["best"], kept["waited"]

@@ -1,6 +1,7 @@
 """Gradient fits: neural ODEs from their linear start, early stopping, growing rollouts."""
 
-from types import SimpleNamespace
+from functools import partial
+from time import perf_counter
 
 import lightning
 import numpy as np
@@ -13,8 +14,11 @@ from ssmr_torch.fitting.fit import LeastSquaresFit
 from ssmr_torch.fitting.gradient_fit import GradientFit
 from ssmr_torch.fitting.neural_ode_start import NeuralODEStart
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
+from ssmr_torch.fitting.training import neural_ode_start, train
+from ssmr_torch.models.integrators import rk4_step
 from ssmr_torch.models.neural_ode import NeuralODE
 from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 FROZEN = ("chart", "parametrization", "linear", "control")
 pytestmark = [pytest.mark.filterwarnings("ignore:.*does not have many workers"),
@@ -23,7 +27,7 @@ pytestmark = [pytest.mark.filterwarnings("ignore:.*does not have many workers"),
 
 def run(fit, dataset, tmp_path):
     module = TrajectoryDataModule(dataset, validation_share=0.2, validation_horizon=0.3, rollout_horizon=0.3,
-                                  stride=3).prepare(fit)
+                                  stride=3, starts=50).prepare(fit)
     trainer = lightning.Trainer(max_epochs=fit.epochs, accelerator="cpu", logger=False, enable_progress_bar=False,
                                 enable_checkpointing=False, enable_model_summary=False, num_sanity_val_steps=0,
                                 default_root_dir=tmp_path)
@@ -44,6 +48,89 @@ def test_the_start_of_a_neural_ode_is_sssr(known, solve_stages):
     torch.testing.assert_close(network.decode(z), linear.decode(z))
 
 
+class Spring:
+    """A hardening spring: ẋ = 10 w, ẇ = -6.4 x - 1e5 x³ - 0.8 w + 0.1 u; x and w, in m, are seen."""
+
+    A, B = np.array([[0.0, 10.0], [-6.4, -0.8]]), np.array([0.0, 0.1])
+
+    def drift(self, z):
+        return z @ self.A.T + np.stack([0 * z[..., 0], -5e4 * z[..., 0] ** 3], axis=-1)
+
+    def dataset(self):
+        rng, runs = np.random.default_rng(2), []
+        angle = rng.uniform(0, 2 * np.pi, 10)
+        starts = 0.01 * np.stack([np.cos(angle), 0.8 * np.sin(angle)], axis=1)
+        for number, start in enumerate((*starts, np.zeros(2), np.zeros(2))):
+            decay = number < len(starts)
+            levels = np.zeros(20) if decay else rng.uniform(-0.2, 0.2, 20)
+            inputs, z = np.repeat(levels, 10)[:, None], [start]
+            for u in inputs[:-1]:
+                z.append(rk4_step(lambda x: self.drift(x) + self.B * u, z[-1], 0.01, 10))
+            runs.append(Trajectory(0.01 * np.arange(200), np.stack(z), inputs, "decay" if decay else "controlled"))
+        return TrajectoryDataset(runs, np.zeros(2), ("x", "v"), ("u",))
+
+    @torch.no_grad()
+    def error(self, model):
+        """Relative error of the spring's force, w's rate where w = 0, over the range of the data."""
+        y = np.stack([np.linspace(-0.008, 0.008, 41), np.zeros(41)], axis=1)
+        found = model.drift(model.encode(torch.from_numpy(y)[:, None, :])) @ model.parametrization.T
+        return np.linalg.norm(found.numpy()[:, 1] - self.drift(y)[:, 1]) / np.linalg.norm(self.drift(y)[:, 1])
+
+
+def test_it_recovers_the_force_of_a_spring_that_a_linear_model_cannot(tmp_path):
+    torch.manual_seed(0)
+    spring = Spring()
+    model, dataset = NeuralODE(2, 1, 2, 0, width=16, depth=1), spring.dataset()
+    before, _ = run(LeastSquaresFit(NeuralODEStart(model), 1e-8), dataset, tmp_path)
+    assert spring.error(model) > 0.1
+    after, _ = run(GradientFit(model, epochs=25, learning_rate=2e-2, horizon=0.05, frozen=()), dataset, tmp_path)
+    assert spring.error(model) < 0.04 and after < 0.25 * before
+
+
+def started(**options):
+    """A small network near a linear oscillation, with a fit around it and a batch of rollouts."""
+    torch.manual_seed(4)
+    model = NeuralODE(2, 1, 2, 0, width=6, depth=2)
+    with torch.no_grad():
+        model.chart.copy_(torch.eye(2))
+        model.parametrization.copy_(torch.eye(2))
+        model.linear.copy_(torch.tensor([[-1.0, 9.0], [-9.0, -1.0]]))
+        model.control.normal_()
+        model.last.normal_()
+        model.state_scale.copy_(torch.tensor([0.02, 0.03]))
+    fit = GradientFit(model, frozen=(), **options)
+    fit.log = lambda *_, **__: None
+    return fit, RolloutBatch(0.01 * torch.randn(8, 1, 2).double(), torch.zeros(8, 0, 1).double(),
+                             torch.rand(8, 20, 1).double(), 0.01 * torch.randn(8, 20, 2).double())
+
+
+def test_the_gradient_of_the_rollout_loss_equals_central_differences():
+    fit, batch = started()
+    fit.training_step(batch, 0).backward()
+    for name, parameter in fit.model.named_parameters():
+        direction = torch.randn_like(parameter)
+        values = []
+        for sign in (1, -1):
+            with torch.no_grad():
+                parameter += 1e-6 * sign * direction
+                values.append(float(fit.training_step(batch, 0)))
+                parameter -= 1e-6 * sign * direction
+        slope = float((parameter.grad * direction).sum())
+        assert (values[0] - values[1]) / 2e-6 == pytest.approx(slope, rel=1e-6, abs=1e-7), name
+
+
+def test_the_loss_is_one_at_its_start_and_every_step_ahead_counts_alike():
+    fit, batch = started()
+    assert float(fit.training_step(batch, 0).detach()) == pytest.approx(1.0, rel=1e-12)
+    with torch.no_grad():
+        predicted = fit.model.decode(fit.model.rollout(fit.model.encode(batch.window), batch.inputs).states[:, 1:])
+    for k in (0, 7, 19):
+        outputs = predicted.clone()
+        outputs[:, k] = batch.outputs[:, k]
+        alone = RolloutBatch(batch.window, batch.window_inputs, batch.inputs, outputs)
+        assert float(fit.training_step(alone, 0).detach()) == pytest.approx(1 / 20, rel=1e-9)
+
+
 def test_a_fit_stops_when_nothing_better_comes(known, tmp_path):
     model = NeuralODE(2, 2, 4, 0, width=4)
     run(LeastSquaresFit(NeuralODEStart(model), 1e-8), known.dataset(), tmp_path)
@@ -52,15 +139,54 @@ def test_a_fit_stops_when_nothing_better_comes(known, tmp_path):
     assert trainer.current_epoch == 4
 
 
-def test_rollouts_grow_to_their_full_horizon_over_half_of_the_epochs():
-    fit = GradientFit(SSMR(2, 1, 2), epochs=10, first_share=0.2)
-    batch = RolloutBatch(torch.zeros(3, 2, 2), torch.zeros(3, 1, 1), torch.zeros(3, 50, 1), torch.zeros(3, 50, 2))
-    lengths = []
+@pytest.mark.parametrize("validation_share", [0.0, 0.2])
+def test_a_fit_stops_when_its_time_is_up_and_keeps_what_it_found(known, tmp_path, validation_share):
+    fits = {"start": partial(neural_ode_start, ridge=1e-8),
+            "training": partial(GradientFit, epochs=1000, learning_rate=1e-3, minutes=0.01, frozen=())}
+    result = train(known.dataset(), model=partial(NeuralODE, state_dim=2, delays=0, width=4), fits=fits,
+                   module=partial(TrajectoryDataModule, validation_share=validation_share, starts=20, stride=3,
+                                  rollout_horizon=0.1, validation_horizon=0.1),
+                   trainer=partial(lightning.Trainer, accelerator="cpu", enable_progress_bar=False,
+                                   enable_model_summary=False), directory=tmp_path)
+    assert result.cost["fit_time"] < 10 and np.isfinite(result.scores["test/rmse"])
+
+
+def test_rollouts_grow_and_the_learning_rate_falls_with_the_share_of_the_fit_that_is_done(monkeypatch):
+    fit, batch = started(epochs=10, first_share=0.2)
+    rate = fit.configure_optimizers()["lr_scheduler"]["scheduler"].lr_lambdas[0]
+    lengths, rates = [], [rate(epoch) for epoch in range(11)]
     for epoch in range(10):
-        fit.trainer = None
-        fit.__dict__["_trainer"] = SimpleNamespace(current_epoch=epoch)
+        monkeypatch.setattr(GradientFit, "current_epoch", epoch)
         lengths.append(fit._shortened(batch).inputs.shape[1])
-    assert lengths[0] == 10 and lengths[5:] == [50] * 5 and lengths == sorted(lengths)
+    assert lengths[0] == 4 and lengths[5:] == [20] * 5 and lengths == sorted(lengths)
+    assert rates == sorted(rates, reverse=True) and rates[5] == pytest.approx(0.5) and rates[10] == 0.0
+    fit.minutes, fit._begun = 1.0, perf_counter() - 45.0  # three quarters of the time for no epoch at all
+    monkeypatch.setattr(GradientFit, "current_epoch", 0)
+    assert fit._shortened(batch).inputs.shape[1] == 20 and rate(0) == pytest.approx(0.146, abs=1e-3)
+
+
+def test_a_model_that_was_not_fitted_is_refused(known, tmp_path):
+    with pytest.raises(ValueError, match="was not fitted; put its closed form before"):
+        run(GradientFit(NeuralODE(2, 2, 4, 0), frozen=()), known.dataset(), tmp_path)
+
+
+def test_a_fit_trains_what_an_earlier_one_froze():
+    model = NeuralODE(2, 1, 2, 0)
+    GradientFit(model, frozen=FROZEN)
+    assert [name for name, p in model.named_parameters() if not p.requires_grad] == list(FROZEN)
+    GradientFit(model, frozen=("chart",))
+    assert [name for name, p in model.named_parameters() if not p.requires_grad] == ["chart"]
+
+
+def test_what_a_fit_has_seen_travels_with_its_checkpoint():
+    (fit, batch), (again, _) = started(), started()
+    fit.training_step(batch, 0)
+    fit._best, fit._waited = 0.25, 3
+    checkpoint = {}
+    fit.on_save_checkpoint(checkpoint)
+    again.on_load_checkpoint(checkpoint)
+    assert (again._best, again._waited) == (0.25, 3)
+    torch.testing.assert_close(again._start_power, fit._start_power, rtol=0, atol=0)
 
 
 @pytest.mark.parametrize("options", [{"first_share": 0.0}, {"patience": 0}, {"minutes": -1.0}, {"weight_decay": -1.0}])

@@ -5,6 +5,7 @@ import torch
 
 from ssmr_torch.fitting.scaled_adam import ScaledAdam, table_scales
 from ssmr_torch.models.monomials import Monomials
+from ssmr_torch.models.neural_ode import NeuralODE
 from ssmr_torch.models.ssmr import SSMR
 
 
@@ -100,3 +101,17 @@ def test_scales_follow_the_units_of_length(model):
 
 def test_a_model_without_a_training_range_has_no_scales():
     assert table_scales(SSMR(2, 1, 3, 1)) == {}
+
+
+@torch.no_grad()
+def test_steps_of_one_scale_in_a_whole_row_move_coordinates_and_outputs_by_their_largest_values():
+    model = NeuralODE(2, 2, 3, 1)
+    model.parametrization.copy_(torch.randn(3, 2, generator=torch.Generator().manual_seed(0)))
+    model.state_scale.copy_(torch.tensor([0.02, 0.05]))
+    scales, output = table_scales(model), model.parametrization.abs() @ model.state_scale
+    torch.testing.assert_close(scales["chart"] @ output.repeat(2), model.state_scale)
+    torch.testing.assert_close(scales["parametrization"] @ model.state_scale, output)
+    torch.testing.assert_close(scales["linear"] * model.state_scale, model.state_scale[:, None].expand(2, 2))
+    edge = torch.cat([torch.ones(2), model.state_scale.repeat_interleave(2)])
+    torch.testing.assert_close(scales["control"] * edge, model.state_scale[:, None].expand(2, 6))
+    assert set(scales) == {"chart", "parametrization", "linear", "control"}

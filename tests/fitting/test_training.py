@@ -294,7 +294,7 @@ import sys
 from functools import partial
 import lightning
 from ssmr_torch.data.datamodule import TrajectoryDataModule
-from ssmr_torch.fitting.fit import GradientFit
+from ssmr_torch.fitting.gradient_fit import GradientFit
 from ssmr_torch.fitting.training import least_squares, train
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.trajectory import TrajectoryDataset

@@ -50,3 +50,28 @@ def test_adaptive_steps_give_what_one_step_of_order_four_gives():
 def test_impossible_sizes_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         NeuralODE(4, 2, 2, **options)
+
+
+def test_everything_that_a_rollout_makes_lives_on_the_device_of_the_model():
+    model = network(depth=2).to("meta")
+    z, inputs = torch.empty(5, 4, dtype=torch.float64, device="meta"), torch.empty(5, 3, 2, device="meta").double()
+    rollout, linear = model.rollout(z, inputs), model.linearize(z, inputs[:, 0])
+    made = (*rollout, *linear, *model.linearize_output(z), model.encode(torch.empty(5, 2, 2, device="meta").double()))
+    assert all(tensor.device.type == "meta" for tensor in made)
+
+
+def test_a_step_can_be_exported():
+    model = network()
+    z, u = 0.1 * torch.randn(5, 4).double(), torch.randn(5, 2).double()
+
+    class Step(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.model = model
+
+        def forward(self, z, u):
+            return self.model.step(z, u), self.model.linearize(z, u).A
+
+    exported = torch.export.export(Step(), (z, u)).module()
+    for found, expected in zip(exported(z, u), Step()(z, u)):
+        torch.testing.assert_close(found, expected, rtol=1e-12, atol=1e-14)
