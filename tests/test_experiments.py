@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+from omegaconf import OmegaConf
 
 from ssmr_torch import artifact
 from ssmr_torch.closed_loop import ClosedLoopRecord
@@ -152,6 +153,66 @@ def test_training_resumes_as_it_was_begun_and_can_be_refined_by_rollouts(line):
     assert "was begun with model.delays=1, now it is 2" in changed.stderr and "Traceback" not in changed.stderr
     elsewhere = start("train", *same[:-1], "resume=true", "hydra.run.dir=elsewhere", cwd=line)
     assert "there are no checkpoints below" in elsewhere.stderr
+
+
+@pytest.mark.slow
+def test_a_job_that_fails_leaves_the_rest_of_its_sweep_and_the_table(line):
+    run("train", "-m", "model.state_dim=99,6", "data.path=collect/trajectories.h5", *QUIET, "hydra.sweep.dir=sweep",
+        cwd=line)
+    with open(line / "sweep" / "sweep.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["job"] for row in rows] == ["1", "0"] and float(rows[0]["validation/rmse"]) > 0
+    assert "fewer than the 99 reduced coordinates" in rows[1]["failed"]
+
+
+@pytest.mark.slow
+def test_a_search_goes_on_where_it_was_never_sees_the_test_runs_and_leaves_the_best_settings(line):
+    pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="needs pip install 'ssmr_torch[sweeps]'")
+    command = ["train", "-m", "sweep=sssr", "data.path=collect/trajectories.h5", "module.starts=100",
+               "hydra.sweep.dir=search"]
+    run(*command, "hydra.sweeper.n_trials=3", cwd=line)
+    before = {path: path.stat().st_mtime_ns for path in line.glob("search/*/result.json")}
+    assert "trial 5 of 5" in run(*command, "hydra.sweeper.n_trials=5", cwd=line)
+    assert len(before) == 3 and all(path.stat().st_mtime_ns == then for path, then in before.items())
+    with open(line / "search" / "sweep.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["job"] for row in rows} == set("01234") and len({row["overrides"] for row in rows}) == 5
+    scores = [float(row["validation/relative"]) for row in rows]
+    assert scores == sorted(scores) and not any(column.startswith("test/") for column in rows[0])
+    best = OmegaConf.load(line / "search" / "best.yaml")
+    assert f"model.state_dim={best.model.state_dim}" in rows[0]["overrides"]
+    assert f"fit.closed_form.ridge.default={best.fit.closed_form.ridge.default}" in rows[0]["overrides"]
+    assert (line / "search" / "sweep.svg").is_file()
+    changed = start(*command, "model.delays=3", cwd=line)
+    assert "now it is ['model.delays=3']" in changed.stderr and "Traceback" not in changed.stderr
+
+
+@pytest.mark.slow
+def test_a_study_ends_with_a_table_and_a_figure_of_its_scores(line):
+    quick = [*QUIET, "data.path=collect/trajectories.h5", "module.starts=100", "figures=false"]
+    run("train", "-m", "study=decays", "model=ssmr,sssr", "module.decays=3,20", *quick, "hydra.sweep.dir=decays",
+        cwd=line)
+    with open(line / "decays" / "study.csv", newline="") as file:
+        rows = {(row["model"], row["module.decays"]): float(row["1 s"]) for row in csv.DictReader(file)}
+    assert len(rows) == 4 and rows["SSMR", "20.0"] < rows["SSMR", "3.0"] < rows["SSSR", "20.0"]
+    run("collect", "excitation=amplitude", "excitation.progress=false", "hydra.run.dir=amplitude", cwd=line)
+    run("train", "-m", "study=amplitude", "model=ssmr", "study.runs=amplitude/trajectories.h5", *quick,
+        "hydra.sweep.dir=amplitudes", cwd=line)
+    with open(line / "amplitudes" / "study.csv", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["model"] == "SSMR"]
+    assert [row["run"] for row in rows] == [f"share-{share}-0" for share in (0.25, 0.5, 0.75, 1.0)]
+    assert float(rows[0]["1 s"]) < float(rows[1]["1 s"]) < float(rows[3]["1 s"])
+    assert (line / "decays" / "study.svg").is_file() and (line / "amplitudes" / "study.svg").is_file()
+
+
+@pytest.mark.slow
+def test_the_delay_study_takes_the_record_of_a_closed_loop(line):
+    text = run("delay_study", "data.path=collect/trajectories.h5", "record=control/0/record.h5",
+               "manifold.delays=[2,8]", "hydra.run.dir=delays", cwd=line)
+    rows = json.loads((line / "delays" / "delays.json").read_text())["rows"]
+    assert [(row["delays"], row["reparametrized"]) for row in rows] == [(2, False), (2, True), (8, False), (8, True)]
+    assert rows[2]["error"] > rows[0]["error"] and rows[2]["error"] > rows[3]["error"] and "reparametrized" in text
+    assert (line / "delays" / "delays.svg").is_file()
 
 
 @pytest.mark.slow

@@ -17,6 +17,8 @@ class StudySweeper(Sweeper):
     n_trials: finished trials of the study, those of earlier runs and of other processes included; a trial that was
     interrupted does not count. Each trial's job has the trial's number, and a sampler with a seed of its own, seed +
     number: interrupted and resumed, one process tries what it would have tried at once.
+    search_minutes, of the job's own configuration: no further trial begins when the finished ones have taken so long
+    together, so that slow and fast models get the same effort; null: no limit.
     Ends with a message where n_jobs is not 1, or the study was begun with other arguments.
     """
 
@@ -52,9 +54,16 @@ class StudySweeper(Sweeper):
                                         load_if_exists=True)
             self._check_same(study, sorted([*self.trials._parse_sweeper_params_config(), *arguments]))
         while len(finished := study.get_trials(False, (optuna.trial.TrialState.COMPLETE,))) < self.wanted:
+            minutes, limit = sum(trial.duration.total_seconds() for trial in finished) / 60, self._minutes()
+            if limit is not None and minutes > limit:
+                print(f"\nthe {limit:g} minutes are over after {len(finished)} trials")
+                break
             best = f", best so far {min(trial.value for trial in finished):.4g}" if finished else ""
             print(f"\ntrial {len(finished) + 1} of {self.wanted}{best}")
             self.trials.sweep(arguments)
+
+    def _minutes(self) -> float | None:
+        return self.trials.config.get("search_minutes")
 
     def _check_same(self, study, arguments: list[str]) -> None:
         begun = study.user_attrs.get("arguments", arguments)

@@ -91,12 +91,14 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
     name: of the model, in tables and figures. model: constructor that still misses input_dim, output_dim and
     timestep, which the data give; its state_dim, if it takes one, is a number or a rule of `choose_dimension`.
     Checkpoints go to directory/checkpoints/FIT, of a refinement the best by validation error, of a closed form the
-    last; a refinement that does not lower the validation error is undone. The fitted model goes to
-    directory/model.ckpt. resume: continue from the checkpoints already there. origin: provenance of this training,
-    with its configuration; it travels with the checkpoints, and resuming under another configuration is refused.
+    last; a refinement that does not lower the validation error is undone, and a fit that is given 0 epochs left out.
+    The fitted model goes to directory/model.ckpt. resume: continue from the checkpoints already there. origin:
+    provenance of this training, with its configuration; it travels with the checkpoints, and resuming under another
+    configuration is refused.
     Raises ValueError for data or options that cannot be fitted, before any work.
     """
     directory = Path(directory)
+    fits = {step: build for step, build in fits.items() if getattr(build, "keywords", {}).get("epochs") != 0}
     prepared = module(dataset=dataset)
     reduced = _sized(model, dataset, prepared)
     card = data_card(dataset, prepared.training) | {"name": name, "training": origin or {}}

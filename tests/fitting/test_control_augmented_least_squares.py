@@ -45,7 +45,7 @@ def one_step_error(model, trajectories):
         for k in range(d, len(y) - 1, 7):
             z = model.encode(y[k - d:k + 1], u[k - d:k])
             predicted = model.decode(model.step(z, u[k]))
-            worst = max(worst, float((predicted - y[k + 1]).norm() / y.norm(dim=1).max()))
+            worst = max(worst, float((predicted - y[k + 1]).detach().norm() / y.norm(dim=1).max()))
     return worst
 
 
