@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ssmr_torch.tasks.obstacles import Circle, HalfPlane
+
 
 @dataclass(frozen=True, eq=False)
 class Task:
@@ -14,21 +16,30 @@ class Task:
 
     path: times (K,) s in [0, duration] → (K, q) m relative to rest.   duration: s; before 0 and after it the
     reference stands still.   tracked: the q outputs by index, or by name where the robot's names are known.
-    Raises ValueError for a duration that is not positive or tracked outputs that repeat.
+    obstacles: `Circle`s and `HalfPlane`s that the tracked outputs must keep out of.
+    Raises ValueError for a duration that is not positive, tracked outputs that repeat, or obstacles over more outputs
+    than are tracked.
     """
 
     name: str
     duration: float
     tracked: tuple[int | str, ...]
     path: Callable[[np.ndarray], np.ndarray]
+    obstacles: tuple[Circle | HalfPlane, ...] = ()
 
     def __post_init__(self):
         object.__setattr__(self, "tracked", tuple(self.tracked))
+        object.__setattr__(self, "obstacles", tuple(self.obstacles))
         if not (np.isfinite(self.duration) and self.duration > 0):
             raise ValueError(f"task {self.name!r} lasts {self.duration} s; expected a positive time")
         if not self.tracked or len(set(self.tracked)) != len(self.tracked):
             raise ValueError(f"task {self.name!r} tracks {self.tracked}; "
                              "expected at least one output, each once")
+        for obstacle in self.obstacles:
+            needed = 2 if isinstance(obstacle, Circle) else len(obstacle.normal)
+            if needed > len(self.tracked):
+                raise ValueError(f"an obstacle of task {self.name!r} lies in {needed} tracked outputs; the task tracks "
+                                 f"{len(self.tracked)}")
 
     def reference(self, time: np.ndarray) -> np.ndarray:
         """(K,) s → (K, q) m. Raises ValueError when the path returns another shape."""

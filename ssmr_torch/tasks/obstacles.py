@@ -1,0 +1,97 @@
+"""Regions that the tracked outputs must keep out of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Circle:
+    """‖y − c(t)‖ ≥ radius, in the plane of the first two tracked outputs (a cylinder where a third is tracked).
+
+    center: (2,) m, or a function of times (K,) s that gives (K, 2) m, for an obstacle that moves.
+    Raises ValueError for a radius that is not positive or a center of another shape.
+    """
+
+    center: np.ndarray | Callable[[np.ndarray], np.ndarray]
+    radius: float
+
+    def __post_init__(self):
+        if not (np.isfinite(self.radius) and self.radius > 0):
+            raise ValueError(f"the radius of an obstacle is {self.radius} m; expected a positive length")
+        if not callable(self.center):
+            center = np.array(self.center, dtype=np.float64)
+            if center.shape != (2,) or not np.isfinite(center).all():
+                raise ValueError(f"the center of an obstacle is {self.center}; expected two lengths in m")
+            object.__setattr__(self, "center", center)
+        self.centers(np.zeros(1))
+
+    def centers(self, time: np.ndarray) -> np.ndarray:
+        """(K,) s → (K, 2) m. Raises ValueError when the function returns another shape."""
+        time = np.atleast_1d(np.asarray(time, dtype=np.float64))
+        if not callable(self.center):
+            return np.broadcast_to(self.center, (len(time), 2))
+        centers = np.asarray(self.center(time), dtype=np.float64)
+        if centers.shape != (len(time), 2):
+            raise ValueError(f"the center of a moving obstacle has shape {centers.shape} at {len(time)} times; "
+                             f"expected {(len(time), 2)}")
+        return centers
+
+    def clearance(self, time: np.ndarray, outputs: np.ndarray) -> np.ndarray:
+        """‖y − c‖ − radius, (K,) m, of the first two columns of outputs (K, ≥ 2); negative inside."""
+        return np.linalg.norm(outputs[:, :2] - self.centers(time), axis=1) - self.radius
+
+
+@dataclass(frozen=True, eq=False)
+class HalfPlane:
+    """normalᵀ y ≤ offset over the first tracked outputs, as many as the normal has entries; normal of length one.
+
+    Raises ValueError for a normal of length zero.
+    """
+
+    normal: np.ndarray
+    offset: float
+
+    def __post_init__(self):
+        normal = np.atleast_1d(np.array(self.normal, dtype=np.float64))
+        length = np.linalg.norm(normal)
+        if normal.ndim != 1 or not np.isfinite(length) or length == 0 or not np.isfinite(self.offset):
+            raise ValueError(f"a half-plane with normal {self.normal} and offset {self.offset} m; expected a vector "
+                             "that is not zero, and a finite offset")
+        object.__setattr__(self, "normal", normal / length)
+        object.__setattr__(self, "offset", float(self.offset / length))
+
+    def clearance(self, time: np.ndarray, outputs: np.ndarray) -> np.ndarray:
+        """offset − normalᵀ y, (K,) m, of outputs (K, ≥ len(normal)); negative outside of the allowed half."""
+        return self.offset - outputs[:, :len(self.normal)] @ self.normal
+
+
+def drifting(center, velocity) -> Callable[[np.ndarray], np.ndarray]:
+    """Center (2,) m that moves with a constant velocity (2,) m/s, for `Circle`."""
+    center, velocity = np.array(center, dtype=np.float64), np.array(velocity, dtype=np.float64)
+    return lambda time: center + time[:, None] * velocity
+
+
+def random_circles(seed: int, count: int = 20, reach: float = 0.030, diameters: tuple[float, float] = (0.008, 0.012),
+                   free: float = 0.010, gap: float = 0.003) -> tuple[Circle, ...]:
+    """Circles with centers uniform in ±reach, outside of `free` around the origin and `gap` apart (paper, ETH task).
+
+    seed fixes them; lengths in m. Raises ValueError when no room is found for that many.
+    """
+    covered, room = count * np.pi * (diameters[0] + gap)**2 / 4, (2 * reach + diameters[1] + gap)**2
+    rng, most = np.random.default_rng(seed), 0
+    for _ in range(500 if covered < room else 0):  # a set that leaves no room for the last circles is drawn anew
+        centers, radii = np.empty((0, 2)), np.empty(0)
+        for _ in range(2000):
+            center, radius = rng.uniform(-reach, reach, 2), 0.5 * rng.uniform(*diameters)
+            apart = np.linalg.norm(centers - center, axis=1) >= radii + radius + gap
+            if apart.all() and np.linalg.norm(center) >= radius + free:
+                centers, radii = np.vstack([centers, center]), np.append(radii, radius)
+            if len(radii) == count:
+                return tuple(Circle(center, float(radius)) for center, radius in zip(centers, radii))
+        most = max(most, len(radii))
+    raise ValueError(f"found room for {most} circles of {count} with seed {seed}; ask for fewer, smaller or a larger "
+                     "reach")
