@@ -30,12 +30,13 @@ def importers(*libraries: str) -> set[str]:
 
 
 @pytest.mark.parametrize(("libraries", "rooms"), [
-    (("lightning", "pytorch_lightning"), {"data/datamodule.py", "fitting/fit.py", "fitting/training.py"}),
+    (("lightning", "pytorch_lightning"), {"data/datamodule.py", "fitting/fit.py", "fitting/training.py", "runner.py"}),
     (("proxsuite", "qpsolvers"), {"control/qp.py"}),
     (("matplotlib",), {"evaluation/figures.py", "evaluation/robot_figures.py", "evaluation/study_figures.py"}),
     (("jinja2",), {"evaluation/report.py"}),
     (("meshio",), {"plants/finite_element/mesh_files.py"}),
     (("fontTools",), {"tasks/symbols.py"}),
+    (("zmq",), {"wire/link.py"}),
     (("gmsh", "skfem"), set()),
     (("hydra", "omegaconf", "wandb"), set()),
     (("pickle", "joblib", "dill"), set()),
@@ -52,6 +53,13 @@ def test_models_plants_and_control_never_import_each_other():
             others = {f"ssmr_torch.{other}" for other in rooms if other != room}
             met = {name for name in imported(path) if any(name.startswith(other) for other in others)}
             assert not met, f"{path} imports {met}"
+
+
+def test_the_wire_knows_no_model_plant_or_controller():
+    for path in (PACKAGE / "wire").glob("*.py"):
+        met = {name for name in imported(path)
+               if name.startswith(("ssmr_torch.models", "ssmr_torch.plants", "ssmr_torch.control"))}
+        assert not met, f"{path} imports {met}"
 
 
 def test_nothing_imports_the_experiments():
@@ -85,7 +93,7 @@ def test_there_are_no_import_circles():
 def test_only_the_named_rooms_touch_files():
     allowed = {"trajectory.py", "artifact.py", "closed_loop.py", "provenance.py", "published_models.py",
                "evaluation/report.py", "evaluation/sections.py", "evaluation/figures.py",
-               "evaluation/robot_figures.py", "fitting/training.py"}
+               "evaluation/robot_figures.py", "fitting/training.py", "runner.py"}
     for path in FILES:
         room = path.relative_to(PACKAGE).as_posix()
         if room in allowed or room.startswith("data/"):
@@ -128,3 +136,9 @@ def test_control_from_an_artifact_needs_neither_torch_nor_lightning_nor_hydra_no
                                code="import ssmr_torch.artifact, ssmr_torch.control.mpc, ssmr_torch.closed_loop, "
                                     "ssmr_torch.plants.slow_manifold, ssmr_torch.plants.trunk, ssmr_torch.plants.rig, "
                                     "ssmr_torch.tasks.references")
+
+
+def test_the_runner_and_both_ends_of_the_wire_need_only_numpy_safetensors_and_zmq():
+    assert not failure_without("torch", "lightning", "hydra", "omegaconf", "wandb", "matplotlib", "h5py", "tqdm", "scipy",
+                               "qpsolvers", code="import ssmr_torch.runner, ssmr_torch.wire.serving, "
+                                                 "ssmr_torch.wire.link, ssmr_torch.wire.robot_end")

@@ -1,0 +1,23 @@
+"""Plant for a controller elsewhere (docs/wire.md): python experiments/serve_plant.py plant=trunk connect=tcp://HOST:5555"""
+
+from entry import entry_point, save_result
+from hydra.utils import instantiate
+
+from ssmr_torch.wire.link import RobotLink
+from ssmr_torch.wire.robot_end import RobotEnd
+
+
+@entry_point("serve_plant")
+def main(config, directory):
+    plant = instantiate(config.rig)(instantiate(config.plant))
+    with RobotLink(config.connect) as link:
+        robot = RobotEnd(plant, link, real_time=config.real_time, timeout=config.timeout, patience=config.patience,
+                         answer_within=config.answer_within, safe_input=config.safe_input)
+        print(f"{plant.name} looks for a controller at {config.connect}", flush=True)
+        robot.drive(config.runs, config.wait)
+    print(f"{plant.name}: {dict(robot.counts)}")
+    save_result(directory, dict(robot.counts))
+
+
+if __name__ == "__main__":
+    main()

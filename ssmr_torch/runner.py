@@ -1,0 +1,135 @@
+"""Serve a controller over the wire without Torch, Hydra or SciPy: python -m ssmr_torch.runner ARTIFACT --settings FILE
+
+The settings are JSON: `controller` and `task`, each with the class or function under `_target_` and its arguments, as
+experiments/serve.py writes them to settings.json. Needs numpy, numba, safetensors, proxsuite and pyzmq.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+from ssmr_torch import artifact
+
+ROOMS = ("ssmr_torch.control.", "ssmr_torch.tasks.")
+REST_TOLERANCE = 1e-3  # m
+DEFAULT = {"controller": {"_target_": "ssmr_torch.control.mpc.ModelPredictiveController", "horizon": 5,
+                          "period": 0.02, "input_weight": 100.0, "first_iterations": 10},
+           "task": {"_target_": "ssmr_torch.tasks.references.figure_eight", "tracked": ["tip_x", "tip_y"]}}
+
+
+def build(settings: dict, *arguments, **more):
+    """Call what `_target_` names with its arguments and these.
+
+    Raises ValueError for a target outside control and tasks, for one that is not there, and for unknown arguments.
+    """
+    target = settings.get("_target_") if isinstance(settings, dict) else None
+    if not isinstance(target, str) or not target.startswith(ROOMS):
+        raise ValueError(f"the settings name {target!r} as _target_; expected something in {' or '.join(ROOMS)}")
+    module, _, name = target.rpartition(".")
+    try:
+        function = getattr(import_module(module), name)
+    except (ModuleNotFoundError, AttributeError) as error:
+        raise ValueError(f"cannot have {target}: {error}") from error
+    given = {key: value for key, value in settings.items() if not key.startswith("_")}
+    try:
+        return function(*arguments, **given, **more)
+    except TypeError as error:
+        raise ValueError(f"{target} does not take {given}: {error}") from error
+
+
+def controller_for(loaded: artifact.Artifact, make: Callable, rest_tolerance: float = REST_TOLERANCE) -> Callable:
+    """What a `ControllerEnd` builds controllers with: RobotCard → controller, the same one for the same robot.
+
+    make(model, input_bounds, timestep=…, output_names=…) → controller, which itself refuses a timestep that does not
+    fit.   rest_tolerance: m.   Raises ValueError for a robot that the model was not trained on, saying both sides.
+    """
+    known = {}
+
+    def controller(card):
+        artifact.check_source(loaded, card)
+        trained = np.array(loaded.card["rest"])
+        if trained.shape != card.rest.shape or np.abs(trained - card.rest).max() > rest_tolerance:
+            raise ValueError(f"the model was trained with the rest {trained.tolist()} m, the robot's is "
+                             f"{card.rest.tolist()} m, and {1e3 * rest_tolerance:g} mm are allowed; "
+                             "measure from the same origin, or raise rest_tolerance")
+        key = card.timestep, card.input_bounds.tobytes()
+        if key not in known:
+            known[key] = make(loaded.model, card.input_bounds, timestep=card.timestep, output_names=card.output_names)
+        return known[key]
+
+    return controller
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command line; returns the exit status. Bad input ends in one message."""
+    options = _parser().parse_args(arguments)
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    if options.print_settings:
+        print(json.dumps(DEFAULT, indent=2))
+        return 0
+    try:
+        _serve(options)
+    except (ValueError, OSError) as error:
+        print(f"runner: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+def _serve(options) -> None:
+    from ssmr_torch.wire.controller_end import ControllerEnd
+    from ssmr_torch.wire.link import ControllerLink
+    from ssmr_torch.wire.serving import serve
+
+    if options.artifact is None:
+        raise ValueError("give the directory of an artifact, such as one of experiments/export.py")
+    loaded, settings = artifact.load(options.artifact), _settings(options.settings)
+    task = build(settings["task"])
+    make = controller_for(loaded, lambda model, bounds, **more: build(settings["controller"], model, task, bounds,
+                                                                      **more), options.rest_tolerance)
+    end = ControllerEnd(make, duration=task.duration, deadline=options.deadline, timeout=options.timeout,
+                        patience=options.patience)
+    with ControllerLink(options.bind) as link:
+        print(f"{loaded.card['name']} waits for a robot at {link.endpoint}", flush=True)
+        serve(link, end, runs=options.runs, done=lambda end: print(f"run {end.finished}: {len(end.samples)} samples, "
+                                                                   f"{dict(end.counts)}", flush=True))
+
+
+def _settings(path: str | None) -> dict:
+    if path is None:
+        return DEFAULT
+    try:
+        settings = json.loads(Path(path).read_text())
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path} is not JSON ({error}); --print-settings shows what is expected") from error
+    if not isinstance(settings, dict) or not DEFAULT.keys() <= settings.keys():
+        raise ValueError(f"{path} must be a JSON object with {sorted(DEFAULT)}; --print-settings shows one")
+    return settings
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m ssmr_torch.runner", description=__doc__.splitlines()[0])
+    parser.add_argument("artifact", nargs="?", help="directory of the artifact")
+    parser.add_argument("--settings", help="JSON file with controller and task; default: --print-settings")
+    parser.add_argument("--print-settings", action="store_true", help="print the default settings and end")
+    parser.add_argument("--bind", default="tcp://*:5555", help="address to wait at (default %(default)s)")
+    parser.add_argument("--runs", type=int, default=None, help="end after so many runs (default: never)")
+    parser.add_argument("--deadline", type=float, default=None,
+                        help="s after a measurement was due when it is missing (default: half a timestep)")
+    parser.add_argument("--timeout", type=float, default=0.5, help="s of silence of a real-time robot that is gone")
+    parser.add_argument("--patience", type=float, default=60.0, help="s of silence of a lock-step robot that is gone")
+    parser.add_argument("--rest-tolerance", type=float, default=REST_TOLERANCE, help="m (default %(default)s)")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,205 @@
+"""The robot's end of the wire: any plant, steered by a controller elsewhere."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Callable
+from time import monotonic
+
+import numpy as np
+
+from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotCard, read_start, unpack
+
+log = logging.getLogger(__name__)
+
+# s between two HELLOs, and in lock-step between two sendings of a measurement that is not answered.
+AGAIN = 0.5
+
+
+class RobotEnd:
+    """Sends a plant's measurements to a controller and applies its commands.
+
+    link: a `RobotLink`.   real_time: whether the plant is stepped by the clock, one timestep a time, or waits for every
+    command (lock-step, for simulations).
+    timeout: s without a command after which, in real time, the controller is taken for dead.   patience: the same in
+    lock-step.   answer_within: share of a timestep in which a command must come in real time; else the last input is
+    held.   safe_input: (m,), applied without a controller; default the admissible input nearest to zero.
+    clock: s, never goes back.
+    counts: late, repeated, malformed and foreign messages; missed answers; overruns, steps that took longer than the
+    timestep; lost_controllers; busy controllers met.
+    Raises ValueError for settings out of range.
+    """
+
+    def __init__(self, plant, link, *, real_time: bool = False, timeout: float = 0.2, patience: float = 60.0,
+                 answer_within: float = 0.5, safe_input=None, clock: Callable[[], float] = monotonic):
+        if not (timeout > 0 and patience > 0 and 0 < answer_within <= 1):
+            raise ValueError(f"timeout is {timeout} s, patience {patience} s and answer_within {answer_within}; "
+                             "expected two positive times and a share of a timestep, 1 at most")
+        self.plant, self.link, self.clock, self.real_time = plant, link, clock, bool(real_time)
+        self.card = RobotCard.of(plant, real_time)
+        self.timeout, self.patience, self.answer_within = float(timeout), float(patience), float(answer_within)
+        self.safe_input = _safe_input(safe_input, self.card)
+        self.counts: Counter[str] = Counter()
+        self._run: int | None = None
+        self._seed: int | None = None
+        self._sequence = self._answered = -1
+
+    def drive(self, runs: int | None = 1, wait: float | None = None) -> None:
+        """Take part in `runs` runs that a controller ends (None: for ever); one that dies is waited for anew.
+
+        wait: s to wait for a controller each time, None for ever.
+        Raises TimeoutError when no controller came, ConnectionError when one refused this robot, saying why. However
+        it ends, the safe input is applied and the controller told.
+        """
+        done, started = 0, False
+        try:
+            while runs is None or done < runs:
+                try:
+                    if not started:
+                        self._await_start(wait)
+                    started = False
+                    self._run_through()
+                except _Started:
+                    started = True
+                except _Over as over:
+                    done += over.finished
+                    self._run = None
+                    self.plant.step(self.safe_input)
+        finally:
+            if self._run is not None:
+                self.link.send(Message(Kind.END, self._run, max(self._sequence, 0), status=Code.OTHER,
+                                       text="the robot stops"))
+                self.plant.step(self.safe_input)
+
+    def _await_start(self, wait: float | None) -> None:
+        """Say HELLO until a START is raised; in real time the plant goes on under the safe input."""
+        begun = hello = tick = self.clock()
+        while wait is None or self.clock() - begun <= wait:
+            if self.clock() >= hello:
+                self.link.send(Message(Kind.HELLO, text=self.card.text))
+                hello = self.clock() + AGAIN
+            self._listen(min(hello, tick) if self.real_time else hello)
+            if self.real_time and self.clock() >= tick:
+                self.plant.step(self.safe_input)
+                tick = max(tick + self.card.timestep, self.clock())
+        raise TimeoutError(f"no controller answered within {wait:g} s; start experiments/serve.py, or "
+                           "experiments/control.py with plant=remote, and check the address")
+
+    def _run_through(self) -> None:
+        """One run, until _Over or _Started is raised."""
+        observation, u = self.plant.reset(self._seed), self.safe_input
+        self._sequence, self._answered = 0, -1
+        tick = heard = self.clock()
+        while True:
+            answer = self._ask(observation, tick)
+            if answer is not None:
+                u, heard = answer, self.clock()
+            else:
+                self.counts["missed"] += 1
+                if self.clock() - heard > self.timeout or not self.real_time:
+                    self.counts["lost_controllers"] += 1
+                    log.warning("the controller is silent; the safe input is applied")
+                    raise _Over(finished=False)
+            observation = self.plant.step(u)
+            if self.real_time:
+                tick = self._pace(tick + self.card.timestep)
+            self._sequence += 1
+
+    def _ask(self, observation: np.ndarray, tick: float) -> np.ndarray | None:
+        """The input for this observation, or None when none came in time."""
+        stamp = self.clock() if self.real_time else self.card.timestep * self._sequence
+        message = Message(Kind.MEASUREMENT, self._run, self._sequence, stamp, values=observation)
+        if self.real_time:
+            self.link.send(message)
+            return self._listen(tick + self.answer_within * self.card.timestep)
+        until = self.clock() + self.patience
+        while self.clock() < until:
+            self.link.send(message)
+            answer = self._listen(min(until, self.clock() + AGAIN))
+            if answer is not None:
+                return answer
+        return None
+
+    def _pace(self, tick: float) -> float:
+        """Wait for the next tick, and return when it was."""
+        late = self.clock() - tick
+        if late > 0:
+            self.counts["overruns"] += 1
+            # Less than a step behind is caught up with; more would be a burst of hurried steps.
+            return tick if late < self.card.timestep else self.clock()
+        while self.clock() < tick:
+            self._listen(tick)
+        return tick
+
+    def _listen(self, until: float) -> np.ndarray | None:
+        """The command for the newest measurement, or None at `until`. Raises _Started and _Over."""
+        while True:
+            data = self.link.receive(max(until - self.clock(), 0.0))
+            if data is None:
+                return None
+            try:
+                answer = self._heed(unpack(data))
+            except Malformed as error:
+                self.counts["malformed"] += 1
+                log.warning("a malformed message was dropped: %s", error)
+                answer = None
+            if answer is not None or self.clock() >= until:
+                return answer
+
+    def _heed(self, message: Message) -> np.ndarray | None:
+        if message.kind is Kind.COMMAND:
+            return self._command(message)
+        if message.kind is Kind.START:
+            try:
+                seed = read_start(message.text)
+            except ValueError as error:
+                raise Malformed(str(error)) from error
+            if message.run != self._run:
+                self._run, self._seed = message.run, seed
+                raise _Started
+        elif message.kind is Kind.END and message.run == self._run:
+            log.info("the run is over: %s", message.text)
+            raise _Over(finished=message.status == Code.OK)
+        elif message.kind is Kind.REFUSE and self._run is None:
+            if message.status != Code.BUSY:
+                raise ConnectionError(f"the controller refused this robot: {message.text}")
+            self.counts["busy"] += 1
+            log.info("%s; asking again", message.text)
+        return None
+
+    def _command(self, message: Message) -> np.ndarray | None:
+        if message.run != self._run:
+            self.counts["foreign"] += 1
+        elif message.values.shape != self.safe_input.shape or not np.isfinite(message.values).all():
+            raise Malformed(f"a COMMAND of the input {message.values.tolist()}; expected {len(self.safe_input)} "
+                            "finite numbers")
+        elif message.sequence == self._answered:
+            self.counts["repeated"] += 1
+        elif message.sequence != self._sequence:
+            self.counts["late"] += 1
+        else:
+            self._answered = message.sequence
+            return message.values
+        return None
+
+
+class _Started(Exception):
+    """A controller began a run."""
+
+
+class _Over(Exception):
+    """The run is over, ended by the controller or with it."""
+
+    def __init__(self, finished: bool):
+        super().__init__()
+        self.finished = finished
+
+
+def _safe_input(value, card: RobotCard) -> np.ndarray:
+    low, high = card.input_bounds
+    safe = np.clip(0.0, low, high) if value is None else np.array(value, dtype=np.float64)
+    if safe.shape != low.shape or not ((low <= safe) & (safe <= high)).all():
+        raise ValueError(f"safe_input is {safe.tolist()}; expected {len(low)} numbers between {low.tolist()} and "
+                         f"{high.tolist()}")
+    return safe
