@@ -1,18 +1,20 @@
 """A model over the horizon: rollout, sensitivities, condensing to a quadratic program in the inputs.
 
-`horizon_for` chooses: a compiled kernel for polynomial tables, its NumPy twin for every other model.
+`horizon_for` chooses: compiled kernels for polynomial and bilinear tables, constant matrices for linear models, the
+batched linearization in NumPy for every other model.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from abc import ABC, abstractmethod
+from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.control import kernel
+from ssmr_torch.control import condensing, kernel, map_kernel
 from ssmr_torch.control.problem import TrackingProblem
 
-TABLES = ("drift", "control", "parametrization")
+POLYNOMIAL = ("drift", "control", "parametrization")
 
 
 class Condensed(NamedTuple):
@@ -21,24 +23,133 @@ class Condensed(NamedTuple):
         hessian (N m, N m) = 2 (Σ_k Y_kᵀ Q_k Y_k + R),   Y_k = ∂y_k/∂v,
         gradient (N m,)    = 2 (Σ_k Y_kᵀ Q_k (y_k − ŷ_k) + R v),
 
-    the Gauss-Newton matrix and the exact gradient of J / cost_scale, with Q and R scaled alike.
-    The hessian is at least twice the identity.
+    the Gauss-Newton matrix and the exact gradient of the tracking cost / cost_scale, with Q and R scaled alike; the
+    hessian is at least twice the identity. sensitivity (N, p, N m): Y; initial (N, p, n): ∂y_k/∂z_0.
     """
 
     states: np.ndarray
     outputs: np.ndarray
     hessian: np.ndarray
     gradient: np.ndarray
+    sensitivity: np.ndarray
+    initial: np.ndarray
 
 
-class Horizon(Protocol):
-    """A model and a problem, ready for single shooting from a measured state."""
+class Horizon(ABC):
+    """A model, stepping by the problem's period, and a problem: single shooting from a measured state.
+
+    input_offset (m,), output_offset (p,): of a constant disturbance, z⁺ = f(z, u + input_offset), y = w(z) +
+    output_offset; None: none.
+    """
+
+    def __init__(self, model, problem: TrackingProblem):
+        self.model, self.problem = model, problem
+        self.input_offset: np.ndarray | None = None
+        self.output_offset: np.ndarray | None = None
+        self._weight = 2.0 * problem.stage_weight / problem.cost_scale
+        self._R = 2.0 * problem.input_weight * problem.input_scale**2 / problem.cost_scale
+
+    @abstractmethod
+    def _rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`rollout` without a disturbance."""
+
+    @abstractmethod
+    def _linearize(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, ...]:
+        """States, outputs, A (N, n, n), B (N, n, m) of every step and C (N, p, n) of the output after it."""
+
+    def _acting(self, inputs: np.ndarray) -> np.ndarray:
+        return inputs if self.input_offset is None else inputs + self.input_offset
+
+    def _seen(self, outputs: np.ndarray) -> np.ndarray:
+        return outputs if self.output_offset is None else outputs + self.output_offset
 
     def rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """States (N+1, n) and outputs y_1 … y_N (N, p) from state (n,) under inputs (N, m)."""
+        states, outputs = self._rollout(state, self._acting(inputs))
+        return states, self._seen(outputs)
 
     def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
         """The problem around these inputs with ŷ_1 … ŷ_N = reference (N, p)."""
+        states, outputs, A, B, C = self._linearize(state, self._acting(inputs))
+        outputs = self._seen(outputs)
+        Y, Z = condensing.sensitivities(A, B, C, self.problem.input_scale)
+        return Condensed(states, outputs, condensing.gauss_newton(Y, self._weight, self._R),
+                         self._gradient(Y, outputs, reference, inputs), Y, Z)
+
+    def moved(self, point: Condensed, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
+        """The same linearization seen from another measured state and reference: the feedback phase."""
+        outputs = point.outputs + point.initial @ (state - point.states[0])
+        return point._replace(outputs=outputs,
+                              gradient=self._gradient(point.sensitivity, outputs, reference, inputs))
+
+    def _gradient(self, Y, outputs, reference, inputs) -> np.ndarray:
+        return condensing.gradient(Y, outputs - reference, self._weight, self._R, inputs, self.problem.input_scale)
+
+
+class LinearizedHorizon(Horizon):
+    """Any model, through `rollout`, `linearize` and `linearize_output`, batched over the horizon."""
+
+    def _rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        states = self.model.rollout(state, inputs)
+        return states, self.model.decode(states[1:])
+
+    def _linearize(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, ...]:
+        states, outputs = self._rollout(state, inputs)
+        A, B, _ = self.model.linearize(states[:-1], inputs)
+        C, _ = self.model.linearize_output(states[1:])
+        return states, outputs, *(np.ascontiguousarray(part) for part in (A, B, C))
+
+
+class CompiledHorizon(Horizon):
+    """Tables of a kernel and its two functions; `LinearizedHorizon` is the reference."""
+
+    def __init__(self, model, problem: TrackingProblem, tables, rollout, linearize):
+        super().__init__(model, problem)
+        self._tables, self._compiled_rollout, self._compiled_linearize = tables, rollout, linearize
+
+    def _rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self._compiled_rollout(state, inputs, self._tables)
+
+    def _linearize(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, ...]:
+        return self._compiled_linearize(state, inputs, self._tables)
+
+
+class LinearHorizon(LinearizedHorizon):
+    """z⁺ = A z + B u + c, y = C z + d: all matrices over the horizon are made once, so that a step costs two products."""
+
+    def __init__(self, model, problem: TrackingProblem):
+        super().__init__(model, problem)
+        N, n, m = problem.horizon, model.state_dim, problem.input_dim
+        zero, none = np.zeros(n), np.zeros((N, m))
+        self._offset_states = model.rollout(zero, none)
+        A, B, _ = model.linearize(zero, none[0])
+        C, _ = model.linearize_output(zero)
+        repeated = [np.ascontiguousarray(np.broadcast_to(part, (N, *part.shape))) for part in (A, B, C)]
+        self._Y, self._Z = condensing.sensitivities(*repeated, problem.input_scale)
+        self._hessian = condensing.gauss_newton(self._Y, self._weight, self._R)
+        self._A, self._B, self._step = A, B, self._offset_states[1]
+        self._of_state = self._Z.reshape(-1, n)
+        self._of_inputs = (self._Y.reshape(-1, N, m) / problem.input_scale).reshape(-1, N * m)
+        self._offset = model.decode(self._offset_states[1:])
+
+    def _rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        states = np.empty((len(inputs) + 1, len(state)))
+        states[0] = state
+        driven = inputs @ self._B.T + self._step
+        for k in range(len(inputs)):
+            np.dot(self._A, states[k], out=states[k + 1])
+            states[k + 1] += driven[k]
+        return states, self._outputs(state, inputs)
+
+    def _outputs(self, state: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+        reached = self._of_state @ state + self._of_inputs @ inputs.ravel()
+        return self._offset + reached.reshape(self._offset.shape)
+
+    def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
+        """The constant matrices; states holds the first state alone."""
+        outputs = self._seen(self._outputs(state, self._acting(inputs)))
+        return Condensed(state[None], outputs, self._hessian, self._gradient(self._Y, outputs, reference, inputs),
+                         self._Y, self._Z)
 
 
 def horizon_for(model, problem: TrackingProblem) -> Horizon:
@@ -50,59 +161,14 @@ def horizon_for(model, problem: TrackingProblem) -> Horizon:
         raise ValueError(f"the model has {model.input_dim} inputs and {model.output_dim} outputs; "
                          f"the problem has {problem.input_dim} and {problem.output_dim}")
     model = model.at_timestep(problem.period)
-    polynomial = all(isinstance(getattr(model, name, None), np.ndarray) for name in TABLES)
-    return (PolynomialHorizon if polynomial else LinearizedHorizon)(model, problem)
-
-
-class LinearizedHorizon:
-    """Any model, through `rollout`, `linearize` and `linearize_output`, batched over the horizon.
-
-    The methods are those of `Horizon`.
-    """
-
-    def __init__(self, model, problem: TrackingProblem):
-        self.model, self.problem = model, problem
-
-    def rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        states = self.model.rollout(state, inputs)
-        return states, self.model.decode(states[1:])
-
-    def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
-        """Sensitivities Y = ∂(y_1 … y_N)/∂v, v = u / input_scale, give H = 2 (Yᵀ Q Y + R) and the exact gradient."""
-        problem = self.problem
-        N, m = inputs.shape
-        states, outputs = self.rollout(state, inputs)
-        A, B, _ = self.model.linearize(states[:-1], inputs)
-        C, _ = self.model.linearize_output(states[1:])
-        sensitivity = np.zeros((N + 1, len(state), N, m))
-        for k in range(N):
-            sensitivity[k + 1] = np.tensordot(A[k], sensitivity[k], 1)
-            sensitivity[k + 1, :, k] = B[k] * problem.input_scale
-        Y = (C @ sensitivity[1:].reshape(N, len(state), N * m)).reshape(-1, N * m)
-        weight = 2.0 * problem.stage_weight.ravel() / problem.cost_scale
-        R = np.tile(2.0 * problem.input_weight * problem.input_scale**2 / problem.cost_scale, N)
-        hessian = Y.T @ (weight[:, None] * Y)
-        hessian.flat[::N * m + 1] += R
-        gradient = Y.T @ (weight * (outputs - reference).ravel()) + R * (inputs / problem.input_scale).ravel()
-        return Condensed(states, outputs, hessian, gradient)
-
-
-class PolynomialHorizon:
-    """Polynomial tables, compiled: the rate and its Jacobian are both a table times z^{0:d}.
-
-    Runge-Kutta steps of order four carry the sensitivities along; `LinearizedHorizon` is the reference. The methods
-    are those of `Horizon`.
-    """
-
-    def __init__(self, model, problem: TrackingProblem):
-        self.model, self.problem = model, problem
-        self._tables = kernel.tables_of(model)
-        self._weight = 2.0 * problem.stage_weight / problem.cost_scale
-        self._R = 2.0 * problem.input_weight * problem.input_scale**2 / problem.cost_scale
-
-    def rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return kernel.rollout(state, inputs, self._tables)
-
-    def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
-        return Condensed(*kernel.condense(state, inputs, reference, self._tables, self._weight, self._R,
-                                          self.problem.input_scale))
+    if getattr(model, "linear", False):
+        return LinearHorizon(model, problem)
+    if all(isinstance(getattr(model, name, None), np.ndarray) for name in POLYNOMIAL):
+        return CompiledHorizon(model, problem, kernel.tables_of(model), kernel.rollout, kernel.linearize)
+    if hasattr(model, "dynamics_monomials"):
+        tables = map_kernel.map_tables(model, model.repeats)
+        return CompiledHorizon(model, problem, tables, map_kernel.rollout_map, map_kernel.linearize_map)
+    if hasattr(model, "read_out") and not model.relift:
+        tables = map_kernel.bilinear_tables(model, model.repeats)
+        return CompiledHorizon(model, problem, tables, map_kernel.rollout_bilinear, map_kernel.linearize_bilinear)
+    return LinearizedHorizon(model, problem)

@@ -1,6 +1,6 @@
-"""The compiled horizon of a polynomial model: tables, Runge-Kutta steps with sensitivities, condensing.
+"""The compiled horizon of a polynomial model in continuous time: Runge-Kutta steps with their sensitivities.
 
-Each step carries W = [z, ∂z/∂z_0, ∂z/∂u]; the outputs' sensitivities are summed into the program as they appear.
+Each step carries W = [z, ∂z/∂z_0, ∂z/∂u].
 """
 
 from __future__ import annotations
@@ -8,7 +8,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from ssmr_torch.control.condensing import compiled
 
 
 class KernelTables(NamedTuple):
@@ -41,17 +42,17 @@ def tables_of(model) -> KernelTables:
         variables.append(variable)
         offset += parent.max() + 1
     field = model.control.reshape(n, -1, m).transpose(0, 2, 1)
-    field_z = np.stack([_derivative(field[:, j, 1:], model.control_monomials) for j in range(m)])
-    rate, rate_z = np.insert(model.drift, 0, 0.0, axis=1), _derivative(model.drift, model.drift_monomials)
+    field_z = np.stack([derivative_table(field[:, j, 1:], model.control_monomials) for j in range(m)])
+    rate, rate_z = np.insert(model.drift, 0, 0.0, axis=1), derivative_table(model.drift, model.drift_monomials)
     newest = model.parametrization[-p:]
     return KernelTables(
         np.concatenate(parents), np.concatenate(variables), _widened(rate, field.shape[-1]),
         _widened(rate_z, field_z.shape[-1]), field.reshape(n * m, -1), field_z,
-        np.insert(newest, 0, 0.0, axis=1), _derivative(newest, model.parametrization_monomials),
+        np.insert(newest, 0, 0.0, axis=1), derivative_table(newest, model.parametrization_monomials),
         model.timestep, model.substeps)
 
 
-def _derivative(table: np.ndarray, monomials) -> np.ndarray:
+def derivative_table(table: np.ndarray, monomials) -> np.ndarray:
     """Jacobian of table · z^{1:d} as a table of z^{0:d−1}: (rows, q) → (rows n, ·)."""
     derivative = np.zeros((len(table), monomials.variables, 1 + monomials.derivative_index.max(initial=-1)))
     for monomial, j in np.argwhere(monomials.exponents):
@@ -62,10 +63,6 @@ def _derivative(table: np.ndarray, monomials) -> np.ndarray:
 
 def _widened(table: np.ndarray, columns: int) -> np.ndarray:
     return np.pad(table, ((0, 0), (0, max(0, columns - table.shape[1]))))
-
-
-# Sums may be reordered, but NaN and infinity must keep their meaning: they say that a rollout diverged.
-compiled = njit(cache=True, fastmath={"reassoc", "contract"})
 
 
 @compiled
@@ -167,63 +164,22 @@ def rollout(state, inputs, tables):
 
 
 @compiled
-def condense(state, inputs, reference, tables, weight, R, scale):
-    """The fields of `Condensed`, with stage weights (N, p), input weights R (m,) and input scale (m,).
-
-    Only the lower triangle of the hessian is summed, over the inputs up to each step; later ones have no effect.
-    """
+def linearize(state, inputs, tables):
+    """States (N+1, n), outputs (N, p), A (N, n, n), B (N, n, m) of every step and C (N, p, n) of the output after it."""
     N, m = inputs.shape
     n, p = len(state), tables.output.shape[0]
     states, outputs = np.empty((N + 1, n)), np.empty((N, p))
-    hessian, gradient = np.zeros((N * m, N * m)), np.empty(N * m)
+    A, B, C = np.empty((N, n, n)), np.empty((N, n, m)), np.empty((N, p, n))
     rate, rate_z, powers = tables.rate.copy(), tables.rate_z.copy(), np.empty(1 + n + len(tables.parent))
-    W, C, S, Y = np.zeros((n, 1 + n + m)), np.empty(p * n), np.zeros((n, N * m)), np.empty(N * m)
+    W = np.zeros((n, 1 + n + m))
     states[0] = state
     for k in range(N):
         W[:] = 0.0
         for i in range(n):
             W[i, 0], W[i, 1 + i] = states[k, i], 1.0
         _step(W, inputs[k], tables, rate, rate_z, powers)
-        S = _propagate(W, S, k, scale)
-        states[k + 1] = W[:, 0]
+        states[k + 1], A[k], B[k] = W[:, 0], W[:, 1:1 + n], W[:, 1 + n:]
         _powers(states[k + 1], tables, powers)
         _product(tables.output, powers, outputs[k])
-        _product(tables.output_z, powers, C)
-        for j in range(m):
-            gradient[k * m + j] = R[j] * inputs[k, j] / scale[j]
-            hessian[k * m + j, k * m + j] += R[j]
-        for o in range(p):
-            if weight[k, o] != 0.0:
-                _add_output(weight[k, o], outputs[k, o] - reference[k, o], C[o * n:(o + 1) * n], S,
-                            Y[:(k + 1) * m], hessian, gradient)
-    for i in range(N * m):
-        for j in range(i):
-            hessian[j, i] = hessian[i, j]
-    return states, outputs, hessian, gradient
-
-
-@compiled
-def _propagate(W, S, k, scale):
-    """∂z_{k+1}/∂v from S = ∂z_k/∂v: A S, and B in the columns of v_k, with W = [z, A, B]."""
-    n, m = len(W), len(scale)
-    following = np.zeros_like(S)
-    for i in range(n):
-        for r in range(n):
-            for j in range(k * m):
-                following[i, j] += W[i, 1 + r] * S[r, j]
-        for j in range(m):
-            following[i, k * m + j] = W[i, 1 + n + j] * scale[j]
-    return following
-
-
-@compiled
-def _add_output(weight, error, C, S, Y, hessian, gradient):
-    """Add ½ weight (error + Y Δv)² to the lower triangle of the hessian and to the gradient, with Y = C S."""
-    Y[:] = 0.0
-    for r in range(len(C)):
-        for j in range(len(Y)):
-            Y[j] += C[r] * S[r, j]
-    for i in range(len(Y)):
-        gradient[i] += weight * error * Y[i]
-        for j in range(i + 1):
-            hessian[i, j] += weight * Y[i] * Y[j]
+        _product(tables.output_z, powers, C[k].reshape(-1))
+    return states, outputs, A, B, C

@@ -8,9 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
+from ssmr_torch.control.constraints import OutputConstraints
+
 # 100 per mm² and 1e-5 per mN², the authors' weights, in SI units.
 OUTPUT_WEIGHT = 1e8
 INPUT_WEIGHT = 10.0
+# The solver sees violations in this unit, m.
+SLACK_SCALE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,9 +24,12 @@ class TrackingProblem:
         min  Σ_{k=1..N} ‖y_k − ŷ_k‖²_Q + ‖y_N − ŷ_N‖²_{Q_f} + Σ_{k=0..N−1} ‖u_k‖²_R
         s.t. lower ≤ u_k ≤ upper,   |u_k − u_{k−1}| ≤ rate · period   with u_{−1} the input applied last.
 
+    and, where there are `constraints`, their penalty of y_1 … y_N added to the cost.
+
     reference: time (K,) s → ŷ (K, p) m.   input_bounds: (2, m), lowest and highest input.
     output_weight, terminal_weight: diagonals of Q and Q_f, (p,) or one number, 1/m².
     input_weight: diagonal of R, (m,) or one number, 1/N².   input_rate: (m,) or one number, N/s, or None.
+    constraints: `OutputConstraints` or None.
     Raises ValueError for sizes that disagree, crossed bounds, and weights without a unique minimum.
 
     The solver sees v = u / input_scale, in units of the input range, and J / cost_scale. R is then at least
@@ -37,6 +44,7 @@ class TrackingProblem:
     input_rate: np.ndarray | float | None = None
     horizon: int = 5
     period: float = 0.02
+    constraints: OutputConstraints | None = None
 
     def __post_init__(self):
         bounds = np.array(self.input_bounds, dtype=np.float64)
@@ -108,8 +116,12 @@ class TrackingProblem:
         return C, np.tile(self.input_step / self.input_scale, self.horizon - 1)
 
     @cached_property
-    def _scaled_box(self) -> np.ndarray:
-        return np.tile(self.input_bounds / self.input_scale, self.horizon)
+    def _scaled_box(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same two read-only arrays every time: a solver that knows them has less to do."""
+        box = tuple(np.tile(self.input_bounds / self.input_scale, self.horizon))
+        for bound in box:
+            bound.setflags(write=False)
+        return box
 
     def scaled_bounds(self, last_input: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of v, each (N m,); those of v_0 also limit the change from `last_input` (m,)."""
@@ -131,20 +143,43 @@ class TrackingProblem:
                     inputs[k] = np.clip(inputs[k], before - self.input_step, before + self.input_step)
         return inputs
 
+    @property
+    def soft_rows(self) -> int:
+        """Rows, and slack variables, of the output constraints in the quadratic program."""
+        return 0 if self.constraints is None else self.horizon * self.constraints.rows_per_stage
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Variables, inputs and slacks, and general rows of the quadratic program."""
+        rate = 0 if self.rate_rows is None else len(self.rate_rows[1])
+        return self.horizon * self.input_dim + self.soft_rows, rate + self.soft_rows
+
+    def times_ahead(self, time: float) -> np.ndarray:
+        """Times of y_1 … y_N, (N,) s, seen from `time` in s."""
+        return time + self._steps_ahead
+
+    @cached_property
+    def _steps_ahead(self) -> np.ndarray:
+        return self.period * np.arange(1, self.horizon + 1)
+
     def reference_ahead(self, time: float) -> np.ndarray:
         """ŷ_1 … ŷ_N, (N, p), seen from `time` in s."""
-        times = time + self.period * np.arange(1, self.horizon + 1)
-        reference = np.asarray(self.reference(times), dtype=np.float64)
+        reference = np.asarray(self.reference(self.times_ahead(time)), dtype=np.float64)
         if reference.shape != self.stage_weight.shape:
             raise ValueError(f"the reference has shape {reference.shape}; "
                              f"expected {self.stage_weight.shape}, "
                              "one row per time and one column per output")
         return reference
 
-    def cost(self, outputs: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> float:
-        """J of y_1 … y_N (N, p) and u_0 … u_{N−1} (N, m); not a finite number when the outputs are not."""
+    def cost(self, outputs: np.ndarray, inputs: np.ndarray, reference: np.ndarray,
+             times: np.ndarray | None = None) -> float:
+        """J of y_1 … y_N (N, p) and u_0 … u_{N−1} (N, m); not a finite number when the outputs are not.
+
+        times (N,) s: of the outputs; with constraints, which may move, they are needed.
+        """
         error = outputs - reference
-        return float(np.vdot(error * self.stage_weight, error) + np.vdot(inputs * self.input_weight, inputs))
+        cost = float(np.vdot(error * self.stage_weight, error) + np.vdot(inputs * self.input_weight, inputs))
+        return cost if self.constraints is None else cost + self.constraints.penalty(times, outputs)
 
 
 def _diagonal(name: str, value, size: int) -> np.ndarray:

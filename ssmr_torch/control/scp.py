@@ -7,8 +7,9 @@ from time import perf_counter
 
 import numpy as np
 
+from ssmr_torch.control.condensing import output_rows
 from ssmr_torch.control.horizon import Condensed, Horizon
-from ssmr_torch.control.problem import TrackingProblem
+from ssmr_torch.control.problem import SLACK_SCALE, TrackingProblem
 from ssmr_torch.control.qp import QPSolution, QuadraticProgram
 from ssmr_torch.status import Status
 
@@ -50,40 +51,47 @@ class Plan:
 
 def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, guess: np.ndarray, solver, *,
               time: float = 0.0, reference: np.ndarray | None = None, last_input: np.ndarray | None = None,
-              max_iterations: int = 20, tolerance: float = 1e-8) -> Plan:
+              max_iterations: int = 20, tolerance: float = 1e-8, prepared: Condensed | None = None) -> Plan:
     """Gauss-Newton sequence of quadratic programs from the inputs `guess` (N, m) and the measured state (n,).
 
     time: of the first input, s. reference: (N, p) m, default the problem's own from there on. last_input:
     (m,), the input before the first, from which the rate limit counts; None leaves the first input free.
     max_iterations = 1 is the real-time iteration [Diehl et al. 2005]: one full step, SOLVED when its program
     is. More iterations search along each step until the cost of the rollout falls enough [Armijo 1966]; they
-    have converged when the decrease that the gradient promises is below `tolerance` times the cost.
+    have converged when the decrease that the program promises is below `tolerance` times the cost.
+    prepared: `horizon.condense` of this guess at a predicted state; the first program then needs no linearization.
     Pure but for the solver's workspace. Never raises for lack of convergence: the status says how it ended.
     """
     start = perf_counter()
     reference = problem.reference_ahead(time) if reference is None else reference
+    times = problem.times_ahead(time)
     inputs = problem.admissible(np.array(guess, dtype=np.float64), last_input)
     bounds = problem.scaled_bounds(last_input)
     solution, status, iterations = None, Status.ITERATION_LIMIT, 0
-    point = horizon.condense(state, inputs, reference)
-    cost = problem.cost(point.outputs, inputs, reference)
+    if prepared is None:
+        point = horizon.condense(state, inputs, reference)
+    else:
+        point = horizon.moved(prepared, state, inputs, reference)
     states, outputs = point.states, point.outputs
+    cost = problem.cost(outputs, inputs, reference, times)
     if not np.isfinite(cost):
         status = Status.NOT_FINITE
     while iterations < max_iterations and status is Status.ITERATION_LIMIT:
         if iterations:
             point = horizon.condense(state, inputs, reference)
-        solution = solver.solve(_quadratic_program(problem, point, inputs, bounds))
+        program = _quadratic_program(problem, point, inputs, bounds, times)
+        solution = solver.solve(program)
         iterations += 1
         if not solution.status.success:
             status = solution.status
             break
-        proposed = problem.admissible(solution.x.reshape(inputs.shape) * problem.input_scale, last_input)
-        slope = point.gradient @ ((proposed - inputs) / problem.input_scale).ravel() * problem.cost_scale
+        proposed = solution.x[:inputs.size].reshape(inputs.shape) * problem.input_scale
+        proposed = problem.admissible(proposed, last_input)
+        slope = _promised(problem, point, inputs, proposed, outputs, times, solution.x) if max_iterations > 1 else 0.0
         if max_iterations > 1 and -slope <= tolerance * cost:
             status = Status.SOLVED
             break
-        found = _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope,
+        found = _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, times,
                              0 if max_iterations == 1 else HALVINGS)
         if found is None:
             status = Status.NOT_FINITE if max_iterations == 1 else Status.NOT_DESCENDING
@@ -95,17 +103,45 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
 
 
 def _quadratic_program(problem: TrackingProblem, point: Condensed, inputs: np.ndarray,
-                       bounds: tuple[np.ndarray, np.ndarray]) -> QuadraticProgram:
-    """J / cost_scale to second order around the inputs, in v = u / input_scale."""
+                       bounds: tuple[np.ndarray, np.ndarray], times: np.ndarray) -> QuadraticProgram:
+    """J / cost_scale to second order around the inputs, in v = u / input_scale and slacks s / SLACK_SCALE."""
     v = (inputs / problem.input_scale).ravel()
     gradient = point.gradient - point.hessian @ v
-    if problem.rate_rows is None:
-        return QuadraticProgram(point.hessian, gradient, *bounds)
-    C, limit = problem.rate_rows
-    return QuadraticProgram(point.hessian, gradient, *bounds, C, -limit, limit)
+    if problem.constraints is None:
+        if problem.rate_rows is None:
+            return QuadraticProgram(point.hessian, gradient, *bounds, convex=True)
+        C, limit = problem.rate_rows
+        return QuadraticProgram(point.hessian, gradient, *bounds, C, -limit, limit, convex=True)
+    constraints, soft, d = problem.constraints, problem.soft_rows, len(v)
+    normals, offsets = constraints.rows(times, point.outputs)
+    rows, lowest = output_rows(point.sensitivity, point.outputs, v, normals, offsets, SLACK_SCALE)
+    size, count = problem.size
+    H, C, row_lower, row_upper = np.zeros((size, size)), np.zeros((count, size)), np.empty(count), np.full(count, np.inf)
+    H[:d, :d] = point.hessian
+    H.flat[d * (size + 1)::size + 1] = 2.0 * constraints.quadratic * SLACK_SCALE**2 / problem.cost_scale
+    g = np.concatenate([gradient, np.full(soft, constraints.linear * SLACK_SCALE / problem.cost_scale)])
+    hard = count - soft
+    if hard:
+        C[:hard, :d], limit = problem.rate_rows
+        row_lower[:hard], row_upper[:hard] = -limit, limit
+    C[hard:, :d], row_lower[hard:] = rows, lowest
+    C.flat[hard * size + d::size + 1] = 1.0
+    lower, upper = np.concatenate([bounds[0], np.zeros(soft)]), np.concatenate([bounds[1], np.full(soft, np.inf)])
+    return QuadraticProgram(H, g, lower, upper, C, row_lower, row_upper, convex=True)
 
 
-def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, halvings):
+def _promised(problem, point: Condensed, inputs, proposed, outputs, times, x) -> float:
+    """Directional derivative of J along the step, of the penalty its decrease in the program: an upper bound."""
+    slope = point.gradient @ ((proposed - inputs) / problem.input_scale).ravel() * problem.cost_scale
+    if problem.constraints is None:
+        return slope
+    s = SLACK_SCALE * np.maximum(x[inputs.size:], 0.0)
+    constraints = problem.constraints
+    there = constraints.linear * s.sum() + constraints.quadratic * np.square(s).sum()
+    return slope + there - constraints.penalty(times, outputs)
+
+
+def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, times, halvings):
     """(inputs, states, outputs, cost) of the first step 1, ½, ¼, … that lowers the cost enough, or None.
 
     Without halvings the full step is taken wherever its rollout is finite.
@@ -114,7 +150,7 @@ def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slo
         length = 0.5**halving
         candidate = proposed if halving == 0 else inputs + length * (proposed - inputs)
         states, outputs = horizon.rollout(state, candidate)
-        candidate_cost = problem.cost(outputs, candidate, reference)
+        candidate_cost = problem.cost(outputs, candidate, reference, times)
         enough = np.inf if halvings == 0 else cost + ARMIJO * length * slope
         if np.isfinite(candidate_cost) and candidate_cost <= enough:
             return candidate, states, outputs, candidate_cost

@@ -26,6 +26,10 @@ class ControlAugmentedTables(DiscreteTimeTables):
     dynamics_degree: int
     input_degree: int
 
+    @property
+    def linear(self) -> bool:
+        return self.dynamics_degree == 1 and self.parametrization_degree == 1
+
     @cached_property
     def parametrization_monomials(self) -> Monomials:
         return Monomials(self.state_dim, 1, self.parametrization_degree)

@@ -33,6 +33,10 @@ class KoopmanTables(DiscreteTimeTables):
     constant: bool
     relift: bool = False
 
+    @property
+    def linear(self) -> bool:
+        return not len(self.N) and not self.relift
+
     @cached_property
     def monomials(self) -> Monomials:
         return Monomials(len(self.scale), 0 if self.constant else 1, self.degree)

@@ -32,6 +32,10 @@ class PolynomialTables(ModelTables):
     substeps: int
 
     @property
+    def linear(self) -> bool:
+        return self.dynamics_degree == 1 and self.control_degree == 0 and self.parametrization_degree == 1
+
+    @property
     def geometry(self) -> str:
         p, n = len(self.parametrization), self.state_dim
         if p == n:
@@ -69,7 +73,8 @@ class PolynomialTables(ModelTables):
 
     def encode(self, window: np.ndarray, inputs: np.ndarray) -> np.ndarray:
         """Chart z = v(window): (..., n_d + 1, p) → (..., n); the inputs (..., n_d, m) are not needed."""
-        return self.chart_monomials(window.reshape(*window.shape[:-2], -1)) @ self.chart.T
+        flat = window.reshape(*window.shape[:-2], -1)
+        return (flat if self.chart_degree == 1 else self.chart_monomials(flat)) @ self.chart.T
 
     def decode(self, z: np.ndarray) -> np.ndarray:
         """Newest sample of w(z): (..., n) → (..., p)."""

@@ -48,6 +48,11 @@ class ModelTables(ABC):
         return len(self.state_scale)
 
     @property
+    def linear(self) -> bool:
+        """Whether z⁺ is affine in (z, u), and y in z, everywhere: a controller then condenses once for all."""
+        return False
+
+    @property
     def geometry(self) -> str:
         """What the model card says of the chart and the parametrization."""
         return (f"{self.state_dim} states from windows of {self.delays + 1} samples of {self.output_dim} outputs, "
@@ -98,6 +103,11 @@ class DiscreteTimeTables(ModelTables):
         super().__post_init__()
         whole_multiple(self.timestep, self.base_timestep)
 
+    @property
+    def repeats(self) -> int:
+        """Applications of `advance` in one step."""
+        return whole_multiple(self.timestep, self.base_timestep)
+
     @abstractmethod
     def advance(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
         """State one base_timestep later, (..., n)."""
@@ -107,9 +117,9 @@ class DiscreteTimeTables(ModelTables):
         """∂z⁺/∂z (..., n, n) and ∂z⁺/∂u (..., n, m) of `advance`."""
 
     def step(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return repeated_map(lambda x: self.advance(x, u), z, whole_multiple(self.timestep, self.base_timestep))
+        return repeated_map(lambda x: self.advance(x, u), z, self.repeats)
 
     def linearize(self, z: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         following, A, B = map_linearization(lambda x: self.advance(x, u), lambda x: self.advance_jacobians(x, u), z,
-                                            whole_multiple(self.timestep, self.base_timestep))
+                                            self.repeats)
         return A, B, following - (A @ z[..., None])[..., 0] - (B @ u[..., None])[..., 0]

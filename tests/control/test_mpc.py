@@ -7,7 +7,9 @@ import pytest
 
 from ssmr_torch.closed_loop import simulate
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.control.qp import ProxQP, QPSolution, QPSolvers
+from ssmr_torch.control.any_qp import QPSolvers
+from ssmr_torch.control.proxqp import ProxQP
+from ssmr_torch.control.qp import QPSolution
 from ssmr_torch.status import Status
 from ssmr_torch.tasks.references import Task, figure_eight
 
@@ -64,7 +66,7 @@ def test_a_jump_of_the_reference_is_met_with_more_than_one_program(bench):
     task = Task("set point", 10.0, (0, 1), lambda time: np.full((len(time), 2), target[0]))
     controller = controller_of(bench, task)
     for k in range(10):
-        controller(0.01 * k, np.zeros(6))
+        controller(0.01 * k, np.full(6, 1e-9 * k))
     target[0] = 0.01
     assert controller(0.10, np.zeros(6)).plan.iterations > 1
 
@@ -72,7 +74,7 @@ def test_a_jump_of_the_reference_is_met_with_more_than_one_program(bench):
 @pytest.mark.parametrize("status", [status for status in Status if not status.success])
 def test_a_failed_program_falls_back_to_the_shifted_plan_and_is_counted(bench, status):
     controller = controller_of(bench)
-    before = [controller(0.01 * k, np.zeros(6)) for k in range(20)][-2]
+    before = [controller(0.01 * k, np.full(6, 1e-9 * k)) for k in range(20)][-2]
     controller.solver.solve = lambda problem: QPSolution.none(problem, status)
     command = controller(before.plan.time + 0.02, np.zeros(6))
     assert command.fallback is status and controller.fallbacks == {status: 1}

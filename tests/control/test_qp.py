@@ -7,7 +7,9 @@ import pytest
 from proxsuite import proxqp
 from scipy.optimize import nnls
 
-from ssmr_torch.control.qp import PROXQP_STATUS, ProxQP, QPSolution, QPSolvers, QuadraticProgram
+from ssmr_torch.control.any_qp import QPSolvers
+from ssmr_torch.control.proxqp import PROXQP_STATUS, ProxQP
+from ssmr_torch.control.qp import QPSolution, QuadraticProgram
 from ssmr_torch.status import Status
 
 D, ROWS = 8, 5
@@ -187,9 +189,9 @@ def test_a_warm_start_needs_fewer_iterations_and_gives_the_same_solution():
 
 def test_the_arrays_of_the_problem_are_left_alone():
     problem = random_problem(np.random.default_rng(7), ROWS)
-    before = [array.copy() for array in (problem.H, problem.g, problem.C, *problem._bounds())]
+    before = [array.copy() for array in problem._parts()]
     ProxQP(D, ROWS).solve(problem)
-    for array, copy in zip((problem.H, problem.g, problem.C, *problem._bounds()), before):
+    for array, copy in zip(problem._parts(), before):
         np.testing.assert_array_equal(array, copy)
 
 

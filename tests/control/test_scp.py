@@ -6,7 +6,8 @@ from scipy.optimize import minimize
 
 from ssmr_torch.control.horizon import horizon_for
 from ssmr_torch.control.problem import TrackingProblem
-from ssmr_torch.control.qp import ProxQP, QPSolution
+from ssmr_torch.control.proxqp import ProxQP
+from ssmr_torch.control.qp import QPSolution
 from ssmr_torch.control.scp import solve_scp
 from ssmr_torch.status import Status
 

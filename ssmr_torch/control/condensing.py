@@ -1,0 +1,110 @@
+"""Compiled: from linearizations along the horizon to a quadratic program in the inputs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+# Sums may be reordered, but NaN and infinity must keep their meaning: they say that a rollout diverged.
+compiled = njit(cache=True, fastmath={"reassoc", "contract"})
+
+
+@compiled
+def sensitivities(A, B, C, scale):
+    """Y (N, p, N m) = ∂y_k/∂v and Z (N, p, n) = ∂y_k/∂z_0 of y_1 … y_N, v = u / scale.
+
+    A (N, n, n), B (N, n, m), C (N, p, n) of each step and of the output after it, scale (m,).
+    """
+    N, n, m = B.shape
+    p = C.shape[1]
+    Y, Z = np.zeros((N, p, N * m)), np.zeros((N, p, n))
+    columns = n + N * m
+    S, following = np.zeros((n, columns)), np.zeros((n, columns))
+    for i in range(n):
+        S[i, i] = 1.0
+    for k in range(N):
+        used = n + k * m
+        for i in range(n):
+            for j in range(used):
+                following[i, j] = 0.0
+            for r in range(n):
+                a = A[k, i, r]
+                for j in range(used):
+                    following[i, j] += a * S[r, j]
+            for j in range(m):
+                following[i, used + j] = B[k, i, j] * scale[j]
+        S, following = following, S
+        for o in range(p):
+            for r in range(n):
+                c = C[k, o, r]
+                if c != 0.0:
+                    for j in range(n):
+                        Z[k, o, j] += c * S[r, j]
+                    for j in range((k + 1) * m):
+                        Y[k, o, j] += c * S[r, n + j]
+    return Y, Z
+
+
+@compiled
+def gauss_newton(Y, weight, R):
+    """2 (Σ_k Y_kᵀ Q_k Y_k + R) with weight (N, p) = 2 Q and R (m,) = 2 R, both divided by the cost's scale."""
+    N, p, size = Y.shape
+    m = len(R)
+    hessian = np.zeros((size, size))
+    for k in range(N):
+        for o in range(p):
+            w = weight[k, o]
+            if w != 0.0:
+                for i in range((k + 1) * m):
+                    y = w * Y[k, o, i]
+                    for j in range(i + 1):
+                        hessian[i, j] += y * Y[k, o, j]
+    for i in range(size):
+        hessian[i, i] += R[i % m]
+        for j in range(i):
+            hessian[j, i] = hessian[i, j]
+    return hessian
+
+
+@compiled
+def gradient(Y, error, weight, R, inputs, scale):
+    """2 (Σ_k Y_kᵀ Q_k e_k + R v) for output errors e (N, p) and inputs (N, m); scaled as in `gauss_newton`."""
+    N, p, size = Y.shape
+    m = len(R)
+    total = np.empty(size)
+    for i in range(size):
+        total[i] = R[i % m] * inputs[i // m, i % m] / scale[i % m]
+    for k in range(N):
+        for o in range(p):
+            w = weight[k, o]
+            if w != 0.0:
+                w *= error[k, o]
+                for i in range((k + 1) * m):
+                    total[i] += w * Y[k, o, i]
+    return total
+
+
+@compiled
+def output_rows(Y, outputs, v, normals, offsets, length):
+    """Rows C (N r, N m) and lower bounds (N r,) of normalᵀ (y + Y Δv) ≥ offset, in units of `length`, over v + Δv.
+
+    normals (N, r, p), offsets (N, r) m; a row without an obstacle has offset −∞.
+    """
+    N, r, p = normals.shape
+    size = Y.shape[2]
+    C, lower = np.zeros((N * r, size)), np.empty(N * r)
+    for k in range(N):
+        for i in range(r):
+            row = k * r + i
+            bound = offsets[k, i]
+            for o in range(p):
+                a = normals[k, i, o]
+                if a != 0.0:
+                    bound -= a * outputs[k, o]
+                    for j in range(size):
+                        C[row, j] += a * Y[k, o, j] / length
+            moved = bound / length
+            for j in range(size):
+                moved += C[row, j] * v[j]
+            lower[row] = moved
+    return C, lower

@@ -1,0 +1,221 @@
+"""The compiled horizons of models in discrete time: polynomial in state and input together, and bilinear.
+
+A step covers `repeats` applications of the map; its Jacobians follow by the chain rule.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ssmr_torch.control.condensing import compiled
+from ssmr_torch.control.kernel import derivative_table
+
+
+class MapTables(NamedTuple):
+    """z⁺ = advance · (z, u)^{0:d},   y = output · z^{0:d_w}.
+
+    parent, variable: monomial 1 + (n + m) + i of (z, u) is monomial parent[i] times entry variable[i]; output_parent,
+    output_variable: the same of z alone. advance (n, ·) and output (p, ·), advance_x (n (n + m), ·) and
+    output_z (p n, ·): their Jacobians.
+    """
+
+    parent: np.ndarray
+    variable: np.ndarray
+    output_parent: np.ndarray
+    output_variable: np.ndarray
+    advance: np.ndarray
+    advance_x: np.ndarray
+    output: np.ndarray
+    output_z: np.ndarray
+    repeats: int
+
+
+class BilinearTables(NamedTuple):
+    """z⁺ = A z + B u + Σ_j u_j N_j z,   y = C z, with N (m, n, n)."""
+
+    A: np.ndarray
+    B: np.ndarray
+    N: np.ndarray
+    C: np.ndarray
+    repeats: int
+
+
+def map_tables(model, repeats: int) -> MapTables:
+    """The kernel's tables of a `ControlAugmentedTables`, Jacobians differentiated analytically."""
+    joint, seen, n = model.dynamics_monomials, model.parametrization_monomials, model.state_dim
+    chosen = np.arange(len(joint)) if joint.chosen is None else joint.chosen
+    advance = np.zeros((n, 2 + chosen.max()))
+    advance[:, 1 + chosen] = model.base_timestep * model.dynamics
+    advance[:, 1:1 + n] += np.eye(n)
+    rate_x = derivative_table(model.base_timestep * model.dynamics, joint)
+    rate_x.reshape(n, n + model.input_dim, -1)[range(n), range(n), 0] += 1.0
+    return MapTables(*_parents(joint), *_parents(seen), advance, rate_x, np.insert(model.parametrization, 0, 0.0, axis=1),
+                     derivative_table(model.parametrization, seen), repeats)
+
+
+def bilinear_tables(model, repeats: int) -> BilinearTables:
+    """The kernel's tables of `KoopmanTables` whose observables are not lifted anew."""
+    N = model.N if len(model.N) else np.zeros((model.input_dim, model.state_dim, model.state_dim))
+    return BilinearTables(model.A, model.B, N, model.read_out, repeats)
+
+
+def _parents(monomials) -> tuple[np.ndarray, np.ndarray]:
+    parents, variables, offset = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], 1
+    for parent, variable in monomials.levels:
+        parents.append(parent + offset)
+        variables.append(variable)
+        offset += parent.max() + 1
+    return np.concatenate(parents), np.concatenate(variables)
+
+
+@compiled
+def _powers(x, parent, variable, out):
+    """out = x^{0:d}."""
+    out[0] = 1.0
+    for i in range(len(x)):
+        out[1 + i] = x[i]
+    for i in range(len(parent)):
+        out[1 + len(x) + i] = out[parent[i]] * x[variable[i]]
+
+
+@compiled
+def _product(table, powers, out):
+    for i in range(table.shape[0]):
+        total = 0.0
+        for q in range(table.shape[1]):
+            total += table[i, q] * powers[q]
+        out[i] = total
+
+
+@compiled
+def _chain(J, A, B, n, m, first):
+    """A ← J_z A,  B ← J_z B + J_u, of one application more; J (n (n + m),) of this one."""
+    J = J.reshape(n, n + m)
+    if first:
+        A[:], B[:] = J[:, :n], J[:, n:]
+        return
+    before_A, before_B = A.copy(), B.copy()
+    for i in range(n):
+        for j in range(n):
+            A[i, j] = 0.0
+        for j in range(m):
+            B[i, j] = J[i, n + j]
+        for r in range(n):
+            for j in range(n):
+                A[i, j] += J[i, r] * before_A[r, j]
+            for j in range(m):
+                B[i, j] += J[i, r] * before_B[r, j]
+
+
+@compiled
+def rollout_map(state, inputs, tables):
+    """States (N+1, n) and outputs (N, p) from state (n,) under inputs (N, m)."""
+    N, m = inputs.shape
+    n, p = len(state), tables.output.shape[0]
+    states, outputs = np.empty((N + 1, n)), np.empty((N, p))
+    x, powers = np.empty(n + m), np.empty(1 + n + m + len(tables.parent))
+    seen = np.empty(1 + n + len(tables.output_parent))
+    states[0] = state
+    x[:n] = state
+    for k in range(N):
+        x[n:] = inputs[k]
+        for _ in range(tables.repeats):
+            _powers(x, tables.parent, tables.variable, powers)
+            _product(tables.advance, powers, x[:n])
+        states[k + 1] = x[:n]
+        _powers(x[:n], tables.output_parent, tables.output_variable, seen)
+        _product(tables.output, seen, outputs[k])
+    return states, outputs
+
+
+@compiled
+def linearize_map(state, inputs, tables):
+    """States (N+1, n), outputs (N, p), A (N, n, n), B (N, n, m) of every step and C (N, p, n) of the output after it."""
+    N, m = inputs.shape
+    n, p = len(state), tables.output.shape[0]
+    states, outputs = np.empty((N + 1, n)), np.empty((N, p))
+    A, B, C = np.empty((N, n, n)), np.empty((N, n, m)), np.empty((N, p, n))
+    x, powers = np.empty(n + m), np.empty(1 + n + m + len(tables.parent))
+    seen, J = np.empty(1 + n + len(tables.output_parent)), np.empty(n * (n + m))
+    states[0] = state
+    x[:n] = state
+    for k in range(N):
+        x[n:] = inputs[k]
+        for repeat in range(tables.repeats):
+            _powers(x, tables.parent, tables.variable, powers)
+            _product(tables.advance_x, powers, J)
+            _chain(J, A[k], B[k], n, m, repeat == 0)
+            _product(tables.advance, powers, x[:n])
+        states[k + 1] = x[:n]
+        _powers(x[:n], tables.output_parent, tables.output_variable, seen)
+        _product(tables.output, seen, outputs[k])
+        _product(tables.output_z, seen, C[k].reshape(-1))
+    return states, outputs, A, B, C
+
+
+@compiled
+def _bilinear_jacobian(z, u, tables, J):
+    """J (n (n + m),) = [A + Σ_j u_j N_j, B + [N_j z]]."""
+    n, m = tables.B.shape
+    for i in range(n):
+        for j in range(m):
+            J[i * (n + m) + n + j] = tables.B[i, j]
+        for r in range(n):
+            total = tables.A[i, r]
+            for j in range(m):
+                total += u[j] * tables.N[j, i, r]
+                J[i * (n + m) + n + j] += tables.N[j, i, r] * z[r]
+            J[i * (n + m) + r] = total
+
+
+@compiled
+def linearize_bilinear(state, inputs, tables):
+    """As `linearize_map`."""
+    N, m = inputs.shape
+    n, p = len(state), tables.C.shape[0]
+    states, outputs = np.empty((N + 1, n)), np.empty((N, p))
+    A, B, C, J = np.empty((N, n, n)), np.empty((N, n, m)), np.empty((N, p, n)), np.empty(n * (n + m))
+    states[0] = state
+    for k in range(N):
+        z = states[k].copy()
+        for repeat in range(tables.repeats):
+            _bilinear_jacobian(z, inputs[k], tables, J)
+            _chain(J, A[k], B[k], n, m, repeat == 0)
+            here = J.reshape(n, n + m)
+            following = np.zeros(n)
+            for i in range(n):
+                for r in range(n):
+                    following[i] += here[i, r] * z[r]
+                for j in range(m):
+                    following[i] += tables.B[i, j] * inputs[k, j]
+            z = following
+        states[k + 1], C[k] = z, tables.C
+        _product(tables.C, z, outputs[k])
+    return states, outputs, A, B, C
+
+
+@compiled
+def rollout_bilinear(state, inputs, tables):
+    """As `rollout_map`."""
+    N, m = inputs.shape
+    n, p = len(state), tables.C.shape[0]
+    states, outputs = np.empty((N + 1, n)), np.empty((N, p))
+    states[0] = state
+    for k in range(N):
+        z = states[k].copy()
+        for _ in range(tables.repeats):
+            following = np.zeros(n)
+            for i in range(n):
+                for r in range(n):
+                    total = tables.A[i, r]
+                    for j in range(m):
+                        total += inputs[k, j] * tables.N[j, i, r]
+                    following[i] += total * z[r]
+                for j in range(m):
+                    following[i] += tables.B[i, j] * inputs[k, j]
+            z = following
+        states[k + 1] = z
+        _product(tables.C, z, outputs[k])
+    return states, outputs

@@ -1,0 +1,128 @@
+"""Kalman observers in reduced coordinates: offset-free tracking, noisy and missing measurements."""
+
+from __future__ import annotations
+
+import numpy as np
+
+DISTURBANCES = ("none", "output", "input")
+
+
+class KalmanObserver:
+    """State of the reduced model and of a constant disturbance d, by a Kalman filter on
+
+        z⁺ = f(z, u + E d) + w,   d⁺ = d + w_d,   y = w(z) + F d + v.
+
+    disturbance: "output", F = I (an offset of every output); "input", F = 0 and E the min(m, p) input directions that
+    move the robot most at rest (a payload, a wrong stiffness); or "none", the plain filter. With either, the filter
+    integrates the error of prediction and leaves no steady one behind [Pannocchia and Rawlings, AIChE J. 2003].
+    extended: linearize anew at every measurement, and carry the covariance along (extended Kalman filter); else the
+    stationary gain of the model at rest, from SciPy's Riccati equation.
+    process_noise: standard deviation of w in a step, of the range of the training states. disturbance_noise: of w_d,
+    m for an output, of the input range for an input. measurement_noise: of v, m.
+
+    model: NumPy tables at the timestep of the measurements. input_range (m,). A value that is missing, not finite, is
+    left out of the update (extended), or the whole measurement is (stationary); `missing` counts measurements that were
+    not whole.
+    Raises ValueError for another disturbance or noise that is not positive, ImportError without SciPy.
+    """
+
+    def __init__(self, model, input_range, *, disturbance: str = "output", extended: bool = False,
+                 process_noise: float = 1e-2, disturbance_noise: float | None = None,
+                 measurement_noise: float = 5e-5):
+        if disturbance not in DISTURBANCES:
+            raise ValueError(f"disturbance is {disturbance!r}; expected one of {DISTURBANCES}")
+        disturbance_noise = {"none": 1.0, "output": 5e-5, "input": 5e-3}[disturbance] if disturbance_noise is None \
+            else disturbance_noise
+        if not (process_noise > 0 and disturbance_noise > 0 and measurement_noise > 0):
+            raise ValueError(f"process_noise {process_noise}, disturbance_noise {disturbance_noise} and "
+                             f"measurement_noise {measurement_noise}; all must be positive")
+        self.model, self.extended, self.disturbance = model, extended, disturbance
+        self._range = np.asarray(input_range, dtype=np.float64)
+        n, m, p = model.state_dim, model.input_dim, model.output_dim
+        window = np.zeros((model.delays + 1, p))
+        self._rest = model.encode(window, np.zeros((model.delays, m)))
+        A, B, _ = model.linearize(self._rest, np.zeros(m))
+        C, _ = model.linearize_output(self._rest)
+        self._E, self._F = self._channels(A, B, C)
+        q = self._E.shape[1]
+        scale = np.where(np.isfinite(model.state_scale) & (model.state_scale > 0), model.state_scale, 1.0)
+        noise = np.full(q, disturbance_noise)
+        self._process = np.diag(np.concatenate([process_noise * scale, noise])**2)
+        self._measurement = measurement_noise**2 * np.eye(p)
+        self._start = self._process + np.diag(np.concatenate([(0.1 * scale)**2, (100 * noise)**2]))
+        if not extended:
+            self._gain = self._stationary_gain(A, B, C)
+        self.reset()
+
+    def _channels(self, A, B, C) -> tuple[np.ndarray, np.ndarray]:
+        """E (m, q) and F (p, q)."""
+        m, p = B.shape[1], C.shape[0]
+        if self.disturbance == "none":
+            return np.zeros((m, 0)), np.zeros((p, 0))
+        if self.disturbance == "output":
+            return np.zeros((m, p)), np.eye(p)
+        gain = C @ np.linalg.lstsq(np.eye(len(A)) - A, B * self._range, rcond=None)[0]
+        _, sizes, directions = np.linalg.svd(gain)
+        q = int((sizes > 1e-3 * sizes[0]).sum())
+        return self._range[:, None] * directions[:q].T, np.zeros((p, q))
+
+    def _augmented(self, A, B, C) -> tuple[np.ndarray, np.ndarray]:
+        n, q = len(A), self._E.shape[1]
+        G = np.eye(n + q)
+        G[:n, :n], G[:n, n:] = A, B @ self._E
+        return G, np.hstack([C, self._F])
+
+    def _stationary_gain(self, A, B, C) -> np.ndarray:
+        from scipy.linalg import solve_discrete_are  # not on a robot that runs without an observer
+
+        G, H = self._augmented(A, B, C)
+        P = solve_discrete_are(G.T, H.T, self._process, self._measurement)
+        return np.linalg.solve(H @ P @ H.T + self._measurement, H @ P).T
+
+    def reset(self) -> None:
+        self.missing, self._begun = 0, False
+
+    def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
+        n, whole = self.model.state_dim, np.isfinite(observation)
+        self.missing += not whole.all()
+        if not self._begun:
+            self._begin(observation, last_input)
+            return
+        z, d = self._x[:n], self._x[n:]
+        u = last_input + self._E @ d
+        if self.extended:
+            A, B, c = self.model.linearize(z, u)
+            G, _ = self._augmented(A, B, np.zeros((len(observation), n)))
+            self._x = np.concatenate([A @ z + B @ u + c, d])
+            self._P = G @ self._P @ G.T + self._process
+        else:
+            self._x = np.concatenate([self.model.step(z, u), d])
+        self._update(observation, whole)
+
+    def _begin(self, observation: np.ndarray, last_input: np.ndarray) -> None:
+        """The robot is taken to have rested where it is; missing values as at rest."""
+        start = np.where(np.isfinite(observation), observation, 0.0)
+        z = self.model.encode(np.tile(start, (self.model.delays + 1, 1)), np.tile(last_input, (self.model.delays, 1)))
+        self._x, self._P = np.concatenate([z, np.zeros(self._E.shape[1])]), self._start.copy()
+        self._begun = True
+
+    def _update(self, observation: np.ndarray, whole: np.ndarray) -> None:
+        if not (whole.any() if self.extended else whole.all()):
+            return
+        n = self.model.state_dim
+        z, d = self._x[:n], self._x[n:]
+        error = observation - self.model.decode(z) - self._F @ d
+        if not self.extended:
+            self._x = self._x + self._gain @ error
+            return
+        C, _ = self.model.linearize_output(z)
+        H = np.hstack([C, self._F])[whole]
+        S = H @ self._P @ H.T + self._measurement[np.ix_(whole, whole)]
+        K = np.linalg.solve(S, H @ self._P).T
+        self._x = self._x + K @ error[whole]
+        shrink = np.eye(len(self._x)) - K @ H
+        self._P = shrink @ self._P @ shrink.T + K @ self._measurement[np.ix_(whole, whole)] @ K.T
+
+    def state(self) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+        z, d = self._x[:self.model.state_dim].copy(), self._x[self.model.state_dim:]
+        return z, self._E @ d if self.disturbance == "input" else None, d.copy() if self.disturbance == "output" else None

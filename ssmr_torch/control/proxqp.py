@@ -1,0 +1,120 @@
+"""ProxQP behind the seam of `qp.py`; the only file that knows ProxSuite."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from proxsuite import proxqp
+
+from ssmr_torch.control.qp import ROUNDING, QPSolution, QuadraticProgram
+from ssmr_torch.status import Status
+
+# ProxQP counts bounds of this size as absent.
+INFINITY = 1e20
+# How much stricter the second attempt is.
+RETRY_FACTOR = 1e-2
+
+PROXQP_STATUS = {
+    proxqp.PROXQP_SOLVED: Status.SOLVED,
+    proxqp.PROXQP_MAX_ITER_REACHED: Status.ITERATION_LIMIT,
+    proxqp.PROXQP_PRIMAL_INFEASIBLE: Status.PRIMAL_INFEASIBLE,
+    proxqp.PROXQP_SOLVED_CLOSEST_PRIMAL_FEASIBLE: Status.CLOSEST_FEASIBLE,
+    proxqp.PROXQP_DUAL_INFEASIBLE: Status.DUAL_INFEASIBLE,
+    proxqp.PROXQP_NOT_RUN: Status.NOT_RUN,
+}
+
+
+class ProxQP:
+    """ProxQP's dense backend [Bambade et al., RSS 2022] with one workspace for problems of one size.
+
+    dim d variables, `rows` general rows.
+    tolerance: absolute, on primal residual, dual residual and gap, so scale the problem first.
+    warm: start from the last solution; it pays with general rows only.
+    The preconditioner of the first problem serves all that follow until `reset`.
+    """
+
+    def __init__(self, dim: int, rows: int = 0, *, tolerance: float = 1e-6, max_iterations: int = 200,
+                 warm: bool | None = None):
+        if dim < 1 or rows < 0:
+            raise ValueError(f"a problem of {dim} variables and {rows} rows; expected at least 1 and 0")
+        if not tolerance > 0 or max_iterations < 1:
+            raise ValueError(f"tolerance {tolerance} and max_iterations {max_iterations} must be positive")
+        self.dim, self.rows = int(dim), int(rows)
+        self.tolerance, self.max_iterations = float(tolerance), int(max_iterations)
+        self.warm = rows > 0 if warm is None else warm
+        self._known = None, None, None
+        self.reset()
+
+    def reset(self, tolerance: float | None = None) -> None:
+        """Forget the workspace: the same problems then give the same solutions again, to rounding."""
+        tolerance = self.tolerance if tolerance is None else tolerance
+        self._workspace, self._fresh = proxqp.dense.QP(self.dim, 0, self.rows, True), True
+        settings = self._workspace.settings
+        settings.eps_abs, settings.eps_rel = tolerance, 0.0
+        # Its own certificates of infeasibility, at their usual tolerance, also condemn feasible problems.
+        settings.eps_primal_inf = settings.eps_dual_inf = ROUNDING
+        # Without its gap ProxQP calls points solved that keep a multiplier on a bound that they do not touch.
+        settings.check_duality_gap = True
+        settings.eps_duality_gap_abs, settings.eps_duality_gap_rel = tolerance, ROUNDING
+        settings.max_iter = settings.max_iter_in = self.max_iterations
+
+    def solve(self, problem: QuadraticProgram) -> QPSolution:
+        """Never raises for the numbers in the problem; ValueError for a problem of another size."""
+        if (problem.dim, problem.rows) != (self.dim, self.rows):
+            raise ValueError(f"a problem of {problem.dim} variables and {problem.rows} rows; "
+                             f"this workspace holds {self.dim} and {self.rows}")
+        defect = problem.defect()
+        if defect is not None:
+            return QPSolution.none(problem, defect)
+        solution = self._attempt(problem)
+        if not solution.status.success:
+            # What other problems left behind can mislead: a fresh, stricter start has the last word.
+            self.reset(RETRY_FACTOR * self.tolerance)
+            solution = self._attempt(problem)
+            self.reset()
+        if solution.status in (Status.ITERATION_LIMIT, Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE):
+            solution = replace(solution, status=problem.failure())
+        return solution
+
+    def _attempt(self, problem: QuadraticProgram) -> QPSolution:
+        shift = self._load(problem)
+        self._workspace.solve()
+        results = self._workspace.results
+        z = results.z.copy()
+        return QPSolution.judged(problem, results.x + shift, z[self.rows:], z[:self.rows],
+                                 PROXQP_STATUS[results.info.status], results.info.iter, self.tolerance)
+
+    def _load(self, problem: QuadraticProgram) -> np.ndarray:
+        """Hand over the problem in x − shift, the middle of its box.
+
+        On a bound at zero a multiplier of the wrong sign adds nothing to the gap: ProxQP calls that solved.
+        """
+        lower, upper, shift = self._box(problem)
+        row_lower = row_upper = None
+        if self.rows:
+            offset = problem.C @ shift
+            row_lower = np.clip(problem.row_lower - offset, -INFINITY, INFINITY)
+            row_upper = np.clip(problem.row_upper - offset, -INFINITY, INFINITY)
+        arguments = (problem.H, problem.g + problem.H @ shift, None, None, problem.C, row_lower, row_upper, lower, upper)
+        if self._fresh:
+            self._workspace.init(*arguments)
+            self._fresh = False
+            return shift
+        if self.warm:
+            self._workspace.settings.initial_guess = proxqp.WARM_START_WITH_PREVIOUS_RESULT
+        self._workspace.update(*arguments, update_preconditioner=False)
+        return shift
+
+    def _box(self, problem: QuadraticProgram) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Bounds around the middle of the box, and that middle; remembered for bounds that cannot change."""
+        if self._known[0] is problem.lower and self._known[1] is problem.upper:
+            return self._known[2]
+        lower = np.minimum(np.maximum(problem.lower, -INFINITY), INFINITY)
+        upper = np.minimum(np.maximum(problem.upper, -INFINITY), INFINITY)
+        two_sided = np.isfinite(problem.lower) & np.isfinite(problem.upper)
+        shift = np.where(two_sided, 0.5 * (lower + upper), 0.0)
+        box = lower - shift, upper - shift, shift
+        if not (problem.lower.flags.writeable or problem.upper.flags.writeable):
+            self._known = problem.lower, problem.upper, box
+        return box
