@@ -39,6 +39,9 @@ lint: .venv/installed
 benchmark: .venv/installed
 	$(BIN)/python experiments/benchmarks/fit.py
 	$(BIN)/python experiments/benchmarks/control_step.py
+	$(BIN)/python experiments/benchmarks/control_comparison.py
+	$(BIN)/python experiments/benchmarks/control_scaling.py
+	$(BIN)/python experiments/benchmarks/control_endurance.py
 	$(BIN)/python experiments/benchmarks/plant_step.py
 
 clean:

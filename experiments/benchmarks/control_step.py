@@ -9,13 +9,14 @@ from __future__ import annotations
 import os
 import platform
 from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
 from time import perf_counter, thread_time
 
-import numba
 import numpy as np
-import proxsuite
 
 from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.control.problem import INPUT_WEIGHT, OUTPUT_WEIGHT
 from ssmr_torch.models.monomials import count_monomials
 from ssmr_torch.models.polynomial_tables import PolynomialTables
 from ssmr_torch.tasks.references import figure_eight
@@ -86,11 +87,16 @@ class TablesPlant:
         return self.displacement
 
 
-def measure(horizon: int, laps: float = 6.0) -> dict:
-    """CPU and wall time of every control step of one run, in ms, with what happened in it."""
-    model, task = oscillators(), figure_eight(laps=laps)
-    plant = TablesPlant(perturbed(model, 0.03))
-    controller = ModelPredictiveController(model, task, BOUNDS, horizon=horizon)
+def measure(horizon: int, laps: float = 6.0, build=ModelPredictiveController, model=None, task=None) -> dict:
+    """CPU and wall time of every control step of one run, in ms, with what happened in it.
+
+    build(model, task, BOUNDS, horizon=horizon) → the controller, which counts its `fallbacks`.   model, task: default
+    the oscillators and the fast figure eight of so many laps; the plant is always the perturbed oscillators.
+    cost: mean of ‖y − ŷ‖²_Q + ‖u‖²_R over the control steps, with the plant's true outputs.
+    """
+    task = figure_eight(laps=laps) if task is None else task
+    plant = TablesPlant(perturbed(oscillators(), 0.03))
+    controller = build(oscillators() if model is None else model, task, BOUNDS, horizon=horizon)
     rng, observation = np.random.default_rng(0), plant.reset()
     cpu, wall, inputs, errors = [], [], [], []
     for k in range(round(task.duration / plant.timestep)):
@@ -103,18 +109,30 @@ def measure(horizon: int, laps: float = 6.0) -> dict:
             inputs.append(command.input)
             errors.append(observation[:2] - task.reference(k * plant.timestep)[0])
         observation = plant.step(command.input)
-    saturated = np.isclose(inputs, BOUNDS[1]).mean()
+    saturated, squares = np.isclose(inputs, BOUNDS[1]).mean(), np.mean(np.sum(np.square(errors), axis=1))
     return {"N": horizon, "steps": len(cpu), "cpu": 1e3 * np.array(cpu), "wall": 1e3 * np.array(wall),
-            "failures": sum(controller.fallbacks.values()), "saturated": saturated,
-            "rmse": 1e3 * np.sqrt(np.mean(np.sum(np.square(errors), axis=1)))}
+            "failures": sum(controller.fallbacks.values()), "saturated": saturated, "rmse": 1e3 * np.sqrt(squares),
+            "cost": OUTPUT_WEIGHT * squares + INPUT_WEIGHT * np.mean(np.sum(np.square(inputs), axis=1))}
+
+
+def machine(*libraries: str) -> str:
+    """The machine, its threads and the versions of Python, NumPy and these libraries."""
+    versions = [f"{name} {version(name)}" for name in ("numpy", *libraries)]
+    return (f"{processor()}, {os.cpu_count()} cores, OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'unset')}, "
+            f"Python {platform.python_version()}, {', '.join(versions)}")
+
+
+def processor() -> str:
+    """The processor's name, or its architecture where the system does not tell."""
+    information = Path("/proc/cpuinfo")
+    lines = information.read_text().splitlines() if information.is_file() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
 
 
 def main() -> None:
     """One line per horizon."""
-    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, "
-          f"OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'unset')}, "
-          f"Python {platform.python_version()}, NumPy {np.__version__}, numba {numba.__version__}, "
-          f"ProxSuite {proxsuite.__version__}")
+    print(machine("numba", "proxsuite"))
     print(f"{'N':>3} {'steps':>6} {'CPU median':>11} {'CPU p99':>8} {'wall median':>12} {'wall p99':>9} "
           f"{'failures':>9} {'saturated':>10} {'RMSE':>8}")
     for horizon in (5, 10, 20):
