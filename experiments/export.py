@@ -1,8 +1,14 @@
-"""Checkpoint → artifact: python experiments/export.py checkpoint=FILE.ckpt; also mat=FILE.mat of a published model"""
+"""Checkpoint → artifact: python experiments/export.py checkpoint=FILE.ckpt; also mat=FILE.mat of a published model.
+
+Deployable forms, in C, for Torch, as ONNX: formats=[c,torch,onnx]; of an existing artifact: artifact=DIR formats=[c]
+"""
+
+from pathlib import Path
 
 from entry import entry_point
 
 from ssmr_torch import artifact
+from ssmr_torch.deployment.deploy import deploy
 from ssmr_torch.fitting.training import load_model
 from ssmr_torch.provenance import fingerprint, provenance
 from ssmr_torch.published_models import read_published_model
@@ -10,22 +16,34 @@ from ssmr_torch.published_models import read_published_model
 
 @entry_point("export")
 def main(config, directory):
-    if (config.checkpoint is None) == (config.mat is None):
-        raise ValueError("give either checkpoint=FILE.ckpt or mat=FILE.mat")
-    if config.mat is not None:
-        tables, card = read_published_model(
-            config.mat, output_names=config.output_names, input_names=config.input_names, rest=config.rest,
-            length_unit=config.length_unit, input_unit=config.input_unit, state_scale=config.state_scale)
+    path, forms = Path(config.artifact), []
+    formats = [config.formats] if isinstance(config.formats, str) else list(config.formats or [])
+    given = [source for source in (config.checkpoint, config.mat) if source is not None]
+    if len(given) > 1 or not given and not (path / "card.json").is_file():
+        raise ValueError("give either checkpoint=FILE.ckpt or mat=FILE.mat, or artifact=DIR of an existing artifact, "
+                         "to write its deployable forms")
+    if not given:
+        forms = deploy(path, formats)
     else:
+        tables, card = model_of(config)
+        artifact.save(path, tables, name=config.name or card["name"], output_names=card["output_names"],
+                      input_names=card["input_names"], rest=card["rest"], input_range=card["input_range"],
+                      input_unit=card["input_unit"], scores=card.get("scores"), cost=card.get("cost"),
+                      provenance=provenance() | {"source": fingerprint(given[0]), "training": card.get("training"),
+                                                 "data": card.get("data")},
+                      complete=lambda aside: forms.extend(deploy(aside, formats)))
+        artifact.load(path)
+    print(f"artifact: {path}", *(f"{artifact.DEPLOYED}/ {form}" for form in forms), sep="\n")
+
+
+def model_of(config):
+    """The tables of a checkpoint or a published model, and what an artifact's card says of it."""
+    if config.mat is None:
         model, card = load_model(config.checkpoint)
-        tables = model.tables()
-    path = artifact.save(config.artifact, tables, name=config.name or card["name"], output_names=card["output_names"],
-                         input_names=card["input_names"], rest=card["rest"], input_range=card["input_range"],
-                         input_unit=card["input_unit"], scores=card.get("scores"), cost=card.get("cost"),
-                         provenance=provenance() | {"source": fingerprint(config.checkpoint or config.mat),
-                                                    "training": card.get("training"), "data": card.get("data")})
-    artifact.load(path)
-    print(f"artifact: {path}")
+        return model.tables(), card
+    return read_published_model(
+        config.mat, output_names=config.output_names, input_names=config.input_names, rest=config.rest,
+        length_unit=config.length_unit, input_unit=config.input_unit, state_scale=config.state_scale)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
     tables.safetensors     the coefficient tables, float64
     reference.safetensors  seeded windows, states and inputs, and what the model made of them
     card.json              kind, shapes, units, sampling time, provenance, scores
+    deployed/              where asked for: the model in C, as Torch programs, as ONNX graphs; see docs/deployment.md
 
 Loading needs NumPy and safetensors only, and never unpickles anything.
 """
@@ -13,6 +14,7 @@ import hashlib
 import json
 import os
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,6 +32,7 @@ KINDS: dict[str, type[ModelTables]] = {"polynomial": PolynomialTables, "control-
                                      "koopman": KoopmanTables, "neural ODE": NeuralTables, "TPWL": TPWLTables}
 FORMAT = "ssmr_torch artifact 2"
 REPLAY_TOLERANCE = 1e-9
+DEPLOYED = "deployed"
 _HASHED = ("tables.safetensors", "reference.safetensors")
 
 
@@ -43,11 +46,13 @@ class Artifact:
 
 def save(directory: str | Path, model: ModelTables, *, output_names, input_names, rest, input_range,
          input_unit: str = "N", name: str = "SSMR", provenance: dict | None = None,
-         scores: dict | None = None, cost: dict | None = None) -> Path:
+         scores: dict | None = None, cost: dict | None = None,
+         complete: Callable[[Path], object] | None = None) -> Path:
     """Write the artifact aside and move it into place; an artifact already there is replaced whole.
 
     output_names (p,), input_names (m,), rest (p,) m, input_range (2, m): what the model was trained on.
     scores, cost: plain numbers; one that is not finite, of rollouts that diverge, is stored as null.
+    complete: called with the directory while it is still aside, to add to it; what it raises leaves all as it was.
     Raises ValueError when these disagree with the model, a table is not finite, or the directory holds other files.
     """
     directory = Path(directory)
@@ -71,6 +76,8 @@ def save(directory: str | Path, model: ModelTables, *, output_names, input_names
     save_file(reference | _predict(model, reference), aside / "reference.safetensors")
     card["sha256"] = {name: hashlib.sha256((aside / name).read_bytes()).hexdigest() for name in _HASHED}
     (aside / "card.json").write_text(json.dumps(card, indent=2, allow_nan=False) + "\n")
+    if complete is not None:
+        complete(aside)
     _replace(aside, directory)
     return directory
 
@@ -101,6 +108,13 @@ def load(directory: str | Path) -> Artifact:
                  **{scalar: card["model"][scalar] for scalar in kind.scalar_names()})
     _replay(directory, model)
     return Artifact(model, card)
+
+
+def reference(directory: str | Path) -> dict[str, np.ndarray]:
+    """The reference batch of an artifact: state (16, n), input (16, m), window (16, n_d + 1, p), window_input
+    (16, n_d, m), and what the model made of them when it was written.
+    """
+    return load_file(Path(directory) / "reference.safetensors")
 
 
 def by_name(artifacts: list[Artifact]) -> dict[str, ModelTables]:
@@ -149,8 +163,9 @@ def _validate(model: ModelTables, output_names, input_names, rest: np.ndarray, b
 def _refuse_foreign(directory: Path) -> None:
     if not directory.exists():
         return
+    known = (*_HASHED, "card.json") + ((DEPLOYED,) if (directory / "card.json").is_file() else ())
     foreign = [directory.name] if directory.is_file() else sorted(
-        path.name for path in directory.iterdir() if path.name not in (*_HASHED, "card.json"))
+        path.name for path in directory.iterdir() if path.name not in known)
     if foreign:
         raise ValueError(f"{directory} exists and holds {foreign[:3]}, which are no part of an artifact; "
                          "choose another directory")
@@ -181,7 +196,7 @@ def _predict(model: ModelTables, reference: dict[str, np.ndarray]) -> dict[str, 
 
 
 def _replay(directory: Path, model: ModelTables) -> None:
-    recorded = load_file(directory / "reference.safetensors")
+    recorded = reference(directory)
     for name, values in _predict(model, recorded).items():
         # c and d are what remains of a state or an output, and mere rounding of it where the model is linear
         size = np.abs(recorded[{"c": "following", "d": "decoded"}.get(name, name)]).max()

@@ -39,7 +39,7 @@ class NeuralTables(ModelTables):
         return z @ self.parametrization.T
 
     @cached_property
-    def _operators(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def operators(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """W_1 diag(state_scale)⁻¹, and table (n, 1 + m, n + w), constant (n, 1 + m) of [f, G] = table · [z, h_L] +
         constant.
         """
@@ -51,14 +51,14 @@ class NeuralTables(ModelTables):
         return self.first_weight / self.state_scale, np.concatenate([linear, network], axis=-1), constant
 
     def _layers(self, z: np.ndarray) -> list[np.ndarray]:
-        layers = [np.tanh(z @ self._operators[0].T + self.biases[0])]
+        layers = [np.tanh(z @ self.operators[0].T + self.biases[0])]
         for weight, bias in zip(self.hidden_weight, self.biases[1:]):
             layers.append(np.tanh(layers[-1] @ weight.T + bias))
         return layers
 
     def _affine(self, z: np.ndarray) -> np.ndarray:
         """[f, G], (..., n, 1 + m)."""
-        _, table, constant = self._operators
+        _, table, constant = self.operators
         features = np.concatenate([z, self._layers(z)[-1]], axis=-1)
         return (features @ table.reshape(constant.size, -1).T).reshape(*z.shape[:-1], *constant.shape) + constant
 
@@ -69,7 +69,7 @@ class NeuralTables(ModelTables):
     def _jacobians(self, z: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """∂(dz/dt)/∂z (..., n, n) and G (..., n, m); held (..., n, n + w): the table weighted by [1, u]."""
         layers = self._layers(z)
-        J = (1 - layers[0] ** 2)[..., None] * self._operators[0]
+        J = (1 - layers[0] ** 2)[..., None] * self.operators[0]
         for layer, weight in zip(layers[1:], self.hidden_weight):
             J = (1 - layer**2)[..., None] * (weight @ J)
         n = self.state_dim
@@ -81,7 +81,7 @@ class NeuralTables(ModelTables):
 
     def linearize(self, z: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         weights = _with_one(u)
-        held = (self._operators[1].swapaxes(1, 2) @ weights[..., None, :, :])[..., 0]
+        held = (self.operators[1].swapaxes(1, 2) @ weights[..., None, :, :])[..., 0]
         following, A, B = rk4_linearization(lambda x: self._rate(x, weights), lambda x: self._jacobians(x, held), z,
                                             np.eye(self.state_dim), self.timestep, self.substeps)
         return A, B, following - (A @ z[..., None])[..., 0] - (B @ u[..., None])[..., 0]

@@ -1,0 +1,86 @@
+"""A C file compiled to a shared library and called on NumPy arrays."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+
+from ssmr_torch.models.tables import ModelTables
+
+FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
+
+
+def compiler() -> str | None:
+    """Path of the C compiler: that in the environment variable CC, or cc, gcc or clang; None where there is none."""
+    names = (os.environ.get("CC") or "cc", "cc", "gcc", "clang")
+    return next((path for path in map(shutil.which, names) if path), None)
+
+
+def compile_library(source: Path, library: Path, flags: tuple[str, ...] = FLAGS) -> str:
+    """Compile NAME.c to a shared library and return what the compiler said. Raises ValueError where it refuses."""
+    done = subprocess.run([compiler(), *flags, "-shared", "-fPIC", "-o", str(library), str(source), "-lm"],
+                          capture_output=True, text=True)
+    if done.returncode:
+        raise ValueError(f"{compiler()} refuses {source.name}:\n{done.stderr[:2000]}")
+    return done.stderr
+
+
+class CLibrary:
+    """The functions of a compiled model, with the shapes of `ModelTables`; batched functions loop over the batch.
+
+    name: the prefix of the functions.   model: the tables whose sizes it has.
+    """
+
+    def __init__(self, library: Path, name: str, model: ModelTables):
+        self._functions, self._name, self.model = ctypes.CDLL(str(library.resolve())), name, model
+
+    def raw(self, function: str):
+        """NAME_function as `ctypes` has it: it takes pointers to doubles, and for `horizon` an int before them."""
+        found = getattr(self._functions, f"{self._name}_{function}")
+        found.restype = None
+        return found
+
+    def call(self, function: str, arguments, shapes, before: tuple = ()) -> list[np.ndarray]:
+        """NAME_function(*before, *arguments, *outputs) → the outputs, of these shapes."""
+        inputs = [np.ascontiguousarray(array, dtype=np.float64) for array in arguments]
+        outputs = [np.full(shape, np.nan) for shape in shapes]
+        pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (*inputs, *outputs)]
+        self.raw(function)(*(ctypes.c_int(value) for value in before), *pointers)
+        return outputs
+
+    def encode(self, window: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+        """(batch, n_d + 1, p), (batch, n_d, m) → (batch, n)."""
+        return np.stack([self.call("encode", pair, [(self.model.state_dim,)])[0] for pair in zip(window, inputs)])
+
+    def decode(self, z: np.ndarray) -> np.ndarray:
+        """(batch, n) → (batch, p)."""
+        return np.stack([self.call("decode", [each], [(self.model.output_dim,)])[0] for each in z])
+
+    def decode_jacobian(self, z: np.ndarray) -> list[np.ndarray]:
+        """(batch, n) → y (batch, p), C (batch, p, n)."""
+        p, n = self.model.output_dim, self.model.state_dim
+        return _stacked(self.call("decode_jacobian", [each], [(p,), (p, n)]) for each in z)
+
+    def step(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """(batch, n), (batch, m) → (batch, n)."""
+        return np.stack([self.call("step", pair, [(self.model.state_dim,)])[0] for pair in zip(z, u)])
+
+    def step_jacobians(self, z: np.ndarray, u: np.ndarray) -> list[np.ndarray]:
+        """(batch, n), (batch, m) → next (batch, n), A (batch, n, n), B (batch, n, m)."""
+        n, m = self.model.state_dim, self.model.input_dim
+        return _stacked(self.call("step_jacobians", pair, [(n,), (n, n), (n, m)]) for pair in zip(z, u))
+
+    def horizon(self, z: np.ndarray, inputs: np.ndarray) -> list[np.ndarray]:
+        """(n,), (H, m) → states (H + 1, n), A (H, n, n), B (H, n, m), outputs (H + 1, p), C (H + 1, p, n)."""
+        n, m, p, steps = self.model.state_dim, self.model.input_dim, self.model.output_dim, len(inputs)
+        shapes = [(steps + 1, n), (steps, n, n), (steps, n, m), (steps + 1, p), (steps + 1, p, n)]
+        return self.call("horizon", [z, inputs], shapes, before=(steps,))
+
+
+def _stacked(results) -> list[np.ndarray]:
+    return [np.stack(arrays) for arrays in zip(*results)]

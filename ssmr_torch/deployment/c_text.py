@@ -1,0 +1,68 @@
+"""C text: tables with literals that read back to the same double, products with them, comments."""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Family(NamedTuple):
+    """What a model family adds to the C file.
+
+    sizes: its enumerators.   code: tables and functions, with `encode_window`, `decode_state`, and what its kind of
+    step needs.   scratch: doubles on the stack in its deepest call.   mathematics: whether <math.h> is needed.
+    """
+
+    sizes: dict[str, int]
+    code: str
+    scratch: int
+    mathematics: bool = False
+
+
+def table(name: str, array: np.ndarray, note: str) -> str:
+    """A constant array, row by row, of int for integers and double for the rest; one zero where it is empty.
+
+    repr gives the shortest decimal that reads back to the same double.
+    """
+    array = np.asarray(array)
+    integers = np.issubdtype(array.dtype, np.integer)
+    literals = [repr(int(value) if integers else float(value)) for value in array.ravel()] or ["0"]
+    across = 16 if integers else 5
+    rows = [", ".join(literals[k:k + across]) for k in range(0, len(literals), across)]
+    shape = " x ".join(map(str, array.shape))
+    return (f"/* {note}: {shape} */\nstatic const {'int' if integers else 'double'} {name}[{len(literals)}] = {{\n    "
+            + ",\n    ".join(rows) + "\n};\n\n")
+
+
+def product(function: str, rows: int, columns: int, stored: str | None = None, accumulate: bool = False) -> str:
+    """A function out = table · x (or out += …), the table stored column by column.
+
+    Rows are the inner loop, so that a compiler that may not reorder sums can still use vector instructions.
+    stored: the table's name; None: the function takes it as its first argument.
+    """
+    first = "" if stored else "const double *restrict table, "
+    clear = "" if accumulate else f"    for (i = 0; i < {rows}; i++)\n        out[i] = 0.0;\n"
+    return (f"static void {function}({first}const double *restrict x, double *restrict out)\n{{\n    int i, q;\n"
+            f"{clear}    for (q = 0; q < {columns}; q++)\n        for (i = 0; i < {rows}; i++)\n"
+            f"            out[i] += {stored or 'table'}[q * {rows} + i] * x[q];\n}}\n\n")
+
+
+def times(name: str, matrix: np.ndarray, note: str, accumulate: bool = False) -> str:
+    """The table `name` (rows, columns) and the function `name_times` that multiplies it by a vector."""
+    rows, columns = matrix.shape
+    return table(name, matrix.T, f"{note}, column by column") + product(f"{name}_times", rows, columns, name,
+                                                                        accumulate)
+
+
+def comment(text: object) -> str:
+    """A text that cannot end a comment, nor start anything else, in one line of ASCII."""
+    plain = " ".join(str(text).encode("ascii", "replace").decode().split())
+    return plain.replace("\\", "/").replace("??", "?").replace("*/", "* /").replace("/*", "/ *")
+
+
+def identifier(name: str) -> str:
+    """A model's name as the prefix of C names and as a file name: "SSMR (published)" → ssmr_published."""
+    plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    return plain if plain and not plain[0].isdigit() else f"model_{plain}".rstrip("_")

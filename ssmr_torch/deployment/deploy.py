@@ -1,0 +1,137 @@
+"""Deployable forms of an artifact: written aside, checked against its model, then moved into its folder `deployed`.
+
+    c       NAME.c, NAME.h                                  C99, of its tables alone
+    torch   encode.pt2, decode.pt2, step.pt2, step_jacobians.pt2     torch.export programs
+    onnx    the same four as .onnx                          ONNX graphs, needs the extra `onnx`
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ssmr_torch import artifact
+from ssmr_torch.artifact import Artifact
+from ssmr_torch.deployment.c_library import CLibrary, compile_library, compiler
+from ssmr_torch.deployment.c_source import write_c
+from ssmr_torch.deployment.reference import check, expected, expected_horizon
+
+FORMATS = ("c", "torch", "onnx")
+MODULES = {"c": (), "torch": ("torch",), "onnx": ("torch", "onnx", "onnxruntime", "onnxscript")}
+
+
+class Form(NamedTuple):
+    """A format, its files, and the largest relative difference from the model; None: it could not be checked."""
+
+    format: str
+    files: tuple[str, ...]
+    error: float | None
+
+    def __str__(self) -> str:
+        checked = ("NOT CHECKED, for no C compiler was found (cc, gcc, clang, or the one that CC names)"
+                   if self.error is None else f"equal to the model within {self.error:.1e} relative")
+        return f"{self.format}: {', '.join(self.files)}: {checked}"
+
+
+def deploy(directory: str | Path, formats: Sequence[str]) -> list[Form]:
+    """Write these forms of the artifact in a directory into its folder `deployed`; others that lie there stay.
+
+    Each is run on the artifact's reference batch and must agree with its tables within 1e-12 relative. Nothing is
+    replaced before all of them do. Raises ValueError where one does not (with both numbers), for a format that does not
+    exist, for one whose packages are missing, and what `artifact.load` raises.
+    """
+    formats = list(dict.fromkeys(formats))
+    _refuse_unavailable(formats)
+    directory = Path(directory)
+    loaded, batch = artifact.load(directory), artifact.reference(directory)
+    aside = directory.with_name(directory.name + ".deployed.part")
+    shutil.rmtree(aside, ignore_errors=True)
+    aside.mkdir()
+    try:
+        forms = [WRITERS[name](loaded, batch, aside) for name in formats]
+        (directory / artifact.DEPLOYED).mkdir(exist_ok=True)
+        for path in sorted(aside.iterdir()):
+            os.replace(path, directory / artifact.DEPLOYED / path.name)
+    finally:
+        shutil.rmtree(aside)
+    return forms
+
+
+def _refuse_unavailable(formats: Sequence[str]) -> None:
+    unknown = [name for name in formats if name not in FORMATS]
+    if unknown:
+        raise ValueError(f"no format {unknown[0]!r}; those that exist are {', '.join(FORMATS)}, as in "
+                         "formats=[c,torch,onnx]")
+    for name in formats:
+        missing = [module for module in MODULES[name] if importlib.util.find_spec(module) is None]
+        if missing:
+            raise ValueError(f"the format {name} needs {', '.join(missing)}; pip install 'ssmr_torch[onnx]', or leave "
+                             f"{name} out of the formats")
+
+
+def _write_c(loaded: Artifact, batch: dict[str, np.ndarray], aside: Path) -> Form:
+    name, source, header = write_c(loaded.model, loaded.card)
+    (aside / f"{name}.c").write_text(source)
+    (aside / f"{name}.h").write_text(header)
+    files = (f"{name}.c", f"{name}.h")
+    if compiler() is None:
+        return Form("c", files, None)
+    with tempfile.TemporaryDirectory() as build:
+        compile_library(aside / f"{name}.c", Path(build) / f"{name}.so")
+        library = CLibrary(Path(build) / f"{name}.so", name, loaded.model)
+        return Form("c", files, check_c(library, loaded.model, batch))
+
+
+def check_c(library: CLibrary, model, batch: dict[str, np.ndarray]) -> float:
+    """Every function of a compiled model against its tables; the largest relative difference."""
+    z, u, sought = batch["state"], batch["input"], expected(model, batch)
+    horizon = expected_horizon(model, z[0], u)
+    y, C = library.decode_jacobian(z)
+    following, A, B = library.step_jacobians(z, u)
+    found = {"encode": library.encode(batch["window"], batch["window_input"]), "decode": library.decode(z),
+             "step": library.step(z, u), "A": A, "B": B, "C": C}
+    along = dict(zip(("states", "A", "B", "outputs", "C"), library.horizon(z[0], horizon["inputs"])))
+    return check("c", [*((name, found[name], sought[name]) for name in found),
+                       ("decode_jacobian", y, sought["decode"]), ("step_jacobians", following, sought["step"]),
+                       *((f"horizon {name}", along[name], horizon[name]) for name in along)])
+
+
+def _write_torch(loaded: Artifact, batch: dict[str, np.ndarray], aside: Path) -> Form:
+    from ssmr_torch.deployment.torch_program import programs, run_program, save_program
+
+    comparisons, sought = [], _by_output(loaded, batch)
+    for name, program in programs(loaded.model, batch).items():
+        save_program(program, aside / f"{name}.pt2", loaded.card)
+        comparisons += [(f"{name}: {output}", value, sought[name, output])
+                        for output, value in run_program(aside / f"{name}.pt2", name, batch)[0].items()]
+    return Form("torch", tuple(sorted(path.name for path in aside.glob("*.pt2"))), check("torch", comparisons))
+
+
+def _write_onnx(loaded: Artifact, batch: dict[str, np.ndarray], aside: Path) -> Form:
+    from ssmr_torch.deployment.onnx_program import finish, run_graph
+    from ssmr_torch.deployment.torch_program import programs, save_onnx
+
+    comparisons, sought = [], _by_output(loaded, batch)
+    for name, program in programs(loaded.model, batch).items():
+        save_onnx(program, aside / f"{name}.onnx", name)
+        finish(aside / f"{name}.onnx", loaded.card)
+        comparisons += [(f"{name}: {output}", value, sought[name, output])
+                        for output, value in run_graph(aside / f"{name}.onnx", batch).items()]
+    return Form("onnx", tuple(sorted(path.name for path in aside.glob("*.onnx"))), check("onnx", comparisons))
+
+
+def _by_output(loaded: Artifact, batch: dict[str, np.ndarray]) -> dict[tuple[str, str], np.ndarray]:
+    sought = expected(loaded.model, batch)
+    return {("encode", "z"): sought["encode"], ("decode", "y"): sought["decode"], ("step", "next"): sought["step"],
+            ("step_jacobians", "next"): sought["step"], ("step_jacobians", "A"): sought["A"],
+            ("step_jacobians", "B"): sought["B"]}
+
+
+WRITERS = {"c": _write_c, "torch": _write_torch, "onnx": _write_onnx}
