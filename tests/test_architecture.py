@@ -30,11 +30,14 @@ def importers(*libraries: str) -> set[str]:
 
 
 @pytest.mark.parametrize(("libraries", "rooms"), [
-    (("lightning", "pytorch_lightning"), {"data/datamodule.py", "fitting/fit.py", "fitting/training.py", "runner.py"}),
-    (("proxsuite", "qpsolvers"), {"control/qp.py"}),
+    (("lightning", "pytorch_lightning"), {"data/datamodule.py", "fitting/fit.py", "fitting/training.py"}),
+    (("proxsuite",), {"control/proxqp.py"}),
+    (("daqp",), {"control/daqp.py"}),
+    (("qpsolvers",), {"control/any_qp.py"}),
     (("matplotlib",), {"evaluation/figures.py", "evaluation/robot_figures.py", "evaluation/study_figures.py"}),
     (("jinja2",), {"evaluation/report.py"}),
     (("meshio",), {"plants/finite_element/mesh_files.py"}),
+    (("onnx", "onnxruntime", "onnxscript"), {"deployment/onnx_program.py"}),
     (("fontTools",), {"tasks/symbols.py"}),
     (("zmq",), {"wire/link.py"}),
     (("gmsh", "skfem"), set()),
@@ -93,7 +96,8 @@ def test_there_are_no_import_circles():
 def test_only_the_named_rooms_touch_files():
     allowed = {"trajectory.py", "artifact.py", "closed_loop.py", "provenance.py", "published_models.py",
                "evaluation/report.py", "evaluation/sections.py", "evaluation/figures.py",
-               "evaluation/robot_figures.py", "fitting/training.py", "runner.py"}
+               "evaluation/robot_figures.py", "fitting/training.py", "runner.py",
+               "deployment/deploy.py"}
     for path in FILES:
         room = path.relative_to(PACKAGE).as_posix()
         if room in allowed or room.startswith("data/"):
@@ -136,6 +140,15 @@ def test_control_from_an_artifact_needs_neither_torch_nor_lightning_nor_hydra_no
                                code="import ssmr_torch.artifact, ssmr_torch.control.mpc, ssmr_torch.closed_loop, "
                                     "ssmr_torch.plants.slow_manifold, ssmr_torch.plants.trunk, ssmr_torch.plants.rig, "
                                     "ssmr_torch.tasks.references")
+
+
+def test_a_model_in_c_needs_neither_torch_nor_onnx():
+    assert not failure_without("torch", "onnx", "onnxruntime", "onnxscript", "lightning", "hydra", "h5py", "numba",
+                               code="import ssmr_torch.deployment.deploy")
+
+
+def test_only_one_file_of_a_deployment_imports_torch():
+    assert {name for name in importers("torch") if name.startswith("deployment/")} == {"deployment/torch_program.py"}
 
 
 def test_the_runner_and_both_ends_of_the_wire_need_only_numpy_safetensors_and_zmq():
