@@ -7,7 +7,7 @@ from omegaconf import OmegaConf
 from ssmr_torch import artifact
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.provenance import provenance
-from ssmr_torch.runner import controller_for
+from ssmr_torch.runner import controller_for, prepare
 from ssmr_torch.wire.controller_end import ControllerEnd
 from ssmr_torch.wire.link import ControllerLink
 from ssmr_torch.wire.record import record_of
@@ -35,6 +35,7 @@ def main(config, directory):
               f"{record.save(directory / name)}")
 
     with ControllerLink(config.bind) as link:
+        prepare(loaded, build)
         print(f"{origin['model']} waits for a robot at {link.endpoint}", flush=True)
         serve(link, end, runs=config.runs, done=save)
     save_result(directory, results[-1] if results else {})

@@ -18,6 +18,8 @@ import numpy as np
 
 from ssmr_torch import artifact
 
+log = logging.getLogger(__name__)
+
 ROOMS = ("ssmr_torch.control.", "ssmr_torch.tasks.")
 REST_TOLERANCE = 1e-3  # m
 DEFAULT = {"controller": {"_target_": "ssmr_torch.control.mpc.ModelPredictiveController", "horizon": 5,
@@ -68,6 +70,18 @@ def controller_for(loaded: artifact.Artifact, make: Callable, rest_tolerance: fl
     return controller
 
 
+def prepare(loaded: artifact.Artifact, build: Callable) -> None:
+    """Build the controller for a robot like that of the training, so that the first one need not wait for compilers."""
+    from ssmr_torch.wire.messages import RobotCard
+
+    card = loaded.card
+    try:
+        build(RobotCard("as trained", card["output_names"], card["input_names"], loaded.model.window_timestep,
+                        card["rest"], card["input_range"], card["units"]["input"]))
+    except ValueError as error:
+        log.warning("no controller for a robot like that of the training: %s; perhaps the one that comes fits", error)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status. Bad input ends in one message."""
     options = _parser().parse_args(arguments)
@@ -99,6 +113,7 @@ def _serve(options) -> None:
     end = ControllerEnd(make, duration=task.duration, deadline=options.deadline, timeout=options.timeout,
                         patience=options.patience)
     with ControllerLink(options.bind) as link:
+        prepare(loaded, make)
         print(f"{loaded.card['name']} waits for a robot at {link.endpoint}", flush=True)
         serve(link, end, runs=options.runs, done=lambda end: print(f"run {end.finished}: {len(end.samples)} samples, "
                                                                    f"{dict(end.counts)}", flush=True))

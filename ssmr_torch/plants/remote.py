@@ -164,6 +164,8 @@ class RemotePlant:
                 self._due = self._heard + self.timestep + slack
                 if place is Place.NEXT:
                     return message
+                if place is Place.PAST and self._card.real_time:
+                    until = max(until, self._due)
                 if place is Place.AGAIN and self._command.run == self._run:
                     self._tell(self._command)
         return None

@@ -130,6 +130,7 @@ class ControllerEnd:
 
     def _hello(self, peer: bytes, message: Message, now: float) -> list[Reply]:
         if self.running and peer == self._peer and not self._stream.begun:
+            self._heard = now
             return [self._start()]
         if self.running and peer != self._peer:
             self.counts["foreign"] += 1

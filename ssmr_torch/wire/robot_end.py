@@ -23,8 +23,9 @@ class RobotEnd:
     link: a `RobotLink`.   real_time: whether the plant is stepped by the clock, one timestep a time, or waits for every
     command (lock-step, for simulations).
     timeout: s without a command after which, in real time, the controller is taken for dead.   patience: the same in
-    lock-step.   answer_within: share of a timestep in which a command must come in real time; else the last input is
-    held.   safe_input: (m,), applied without a controller; default the admissible input nearest to zero.
+    lock-step.   answer_within: share of a timestep in which a command must come in real time. Without it the newest
+    input is held; a command that comes later, yet within the timestep, is the newest from the next step on.
+    safe_input: (m,), applied without a controller; default the admissible input nearest to zero.
     clock: s, never goes back.
     counts: late, repeated, malformed and foreign messages; missed answers; overruns, steps that took longer than the
     timestep; lost_controllers; busy controllers met.
@@ -44,6 +45,7 @@ class RobotEnd:
         self._run: int | None = None
         self._seed: int | None = None
         self._sequence = self._answered = -1
+        self._input, self._heard = self.safe_input, clock()
 
     def drive(self, runs: int | None = 1, wait: float | None = None) -> None:
         """Take part in `runs` runs that a controller ends (None: for ever); one that dies is waited for anew.
@@ -88,20 +90,17 @@ class RobotEnd:
 
     def _run_through(self) -> None:
         """One run, until _Over or _Started is raised."""
-        observation, u = self.plant.reset(self._seed), self.safe_input
+        observation, self._input = self.plant.reset(self._seed), self.safe_input
         self._sequence, self._answered = 0, -1
-        tick = heard = self.clock()
+        tick = self._heard = self.clock()
         while True:
-            answer = self._ask(observation, tick)
-            if answer is not None:
-                u, heard = answer, self.clock()
-            else:
+            if self._ask(observation, tick) is None:
                 self.counts["missed"] += 1
-                if self.clock() - heard > self.timeout or not self.real_time:
+                if self.clock() - self._heard > self.timeout or not self.real_time:
                     self.counts["lost_controllers"] += 1
                     log.warning("the controller is silent; the safe input is applied")
                     raise _Over(finished=False)
-            observation = self.plant.step(u)
+            observation = self.plant.step(self._input)
             if self.real_time:
                 tick = self._pace(tick + self.card.timestep)
             self._sequence += 1
@@ -129,7 +128,9 @@ class RobotEnd:
             # Less than a step behind is caught up with; more would be a burst of hurried steps.
             return tick if late < self.card.timestep else self.clock()
         while self.clock() < tick:
-            self._listen(tick)
+            if self._listen(tick) is not None:
+                # Too late to act from the beginning of this step on, yet newer than what would be held in the next.
+                self.counts["late"] += 1
         return tick
 
     def _listen(self, until: float) -> np.ndarray | None:
@@ -179,7 +180,7 @@ class RobotEnd:
         elif message.sequence != self._sequence:
             self.counts["late"] += 1
         else:
-            self._answered = message.sequence
+            self._answered, self._heard, self._input = message.sequence, self.clock(), message.values
             return message.values
         return None
 

@@ -1,15 +1,20 @@
 """Plant and controller in lock-step through true sockets, against the two in one process."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from ssmr_torch.closed_loop import simulate
+from ssmr_torch.control.base import Command
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.plants.remote import RemotePlant
 from ssmr_torch.plants.rig import Rig
 from ssmr_torch.wire.controller_end import ControllerEnd
-from ssmr_torch.wire.link import RobotLink
+from ssmr_torch.wire.link import ControllerLink, RobotLink
+from ssmr_torch.wire.messages import Kind, Message, RobotCard, unpack
 from ssmr_torch.wire.record import record_of
 from ssmr_torch.wire.robot_end import RobotEnd
 from ssmr_torch.wire.serving import serve
@@ -109,3 +114,121 @@ def test_a_remote_plant_that_never_comes_or_leaves_ends_in_a_message(integrator,
             elsewhere.step([0.5, 0.5])
     with pytest.raises(TypeError):
         robot.join()
+
+
+def blind_once(link, plant):
+    """A robot in real time that keeps measurement 1 back until the command for it has come."""
+    link.send(Message(Kind.HELLO, text=RobotCard.of(plant, real_time=True).text))
+    run = None
+
+    def send(*numbers):
+        for number in numbers:
+            link.send(Message(Kind.MEASUREMENT, run, number, 5.0 + plant.timestep * number, values=np.full(2, number)))
+
+    while (data := link.receive(20.0)) is not None:
+        message = unpack(data)
+        if message.kind is Kind.START:
+            run = message.run
+            send(0)
+        elif message.kind is Kind.END:
+            return
+        elif message.sequence == 1:
+            send(1, 2, 2, 4)
+
+
+def test_a_remote_plant_in_real_time_is_blind_where_measurements_are_missing(integrator, background):
+    integrator.timestep = 1.0  # as time for this machine to find its way between the two ends
+
+    class Waiting(RemotePlant):
+        def _meet(self):
+            self.link = RobotLink(self._link.endpoint)
+            self.robot = background(blind_once, self.link, integrator)
+            return super()._meet()
+
+    elsewhere = Waiting("tcp://127.0.0.1:*", wait=20.0, deadline=0.0, timeout=20.0)
+    np.testing.assert_array_equal(elsewhere.reset(), [0, 0])
+    assert np.isnan(elsewhere.step([0.5, 0.5])).all()                       # 1 does not come in time
+    np.testing.assert_array_equal(elsewhere.displacement, [0, 0])
+    np.testing.assert_array_equal(elsewhere.step([0.5, 0.5]), [2, 2])       # it comes late, and then 2
+    assert np.isnan(elsewhere.step([0.5, 0.5])).all()                       # after 2 again comes 4
+    np.testing.assert_array_equal(elsewhere.step([0.5, 0.5]), [4, 4])
+    assert elsewhere.counts == {"missing": 2, "late": 1, "repeated": 1}
+    elsewhere.close()
+    elsewhere.robot.join()
+    elsewhere.link.close()
+
+
+def test_a_controller_that_is_started_again_finds_the_robot_and_begins_anew(build, plant, task, background):
+    """The first controller vanishes without a word after three answers; the second has the same address.
+
+    The robot learns it by its own patience, or from the second controller, which does not know its run.
+    """
+    first = ControllerLink("tcp://127.0.0.1:*")
+    endpoint, answered, robots = first.endpoint, 0, {}
+
+    def drive():
+        with RobotLink(endpoint) as link:
+            robots["end"] = RobotEnd(plant, link, patience=1.0)
+            robots["end"].drive(1, wait=20.0)
+
+    other = background(drive)
+    end = ControllerEnd(build)
+    while answered < 3:
+        peer, data = first.receive(20.0)
+        for reply in end.receive(peer, data, 0.0):
+            first.send(*reply)
+            answered += reply.message.kind is Kind.COMMAND
+    first.close()
+    with ControllerLink(endpoint) as second:
+        end = ControllerEnd(build, duration=task.duration)
+        serve(second, end, runs=1)
+    other.join()
+    assert robots["end"].counts["lost_controllers"] <= 1 and end.finished == 1
+    assert len(end.samples) == np.ceil(task.duration / plant.timestep) + 1
+
+
+class Constant:
+    """A controller of one answer."""
+
+    period = 0.01
+
+    def reset(self):
+        pass
+
+    def __call__(self, time, observation):
+        return Command(np.array([0.4, 0.6]))
+
+
+def test_in_real_time_a_whole_task_goes_over_the_wire_whatever_the_machine_is_busy_with(links, integrator, background):
+    end = ControllerEnd(lambda card: Constant(), duration=0.3, timeout=20.0)
+    robot = RobotEnd(integrator, links[1], real_time=True, timeout=20.0)
+    other = background(robot.drive, 1, wait=20.0)
+    serve(links[0], end, runs=1)
+    other.join()
+    np.testing.assert_allclose([sample.time for sample in end.samples], 0.01 * np.arange(31))
+    assert end.finished == 1
+    assert set(end.counts) <= {"missing", "late", "reordered", "irregular", "foreign"}
+    assert end.counts["late"] <= end.counts["missing"]
+
+
+def test_the_client_in_the_documentation_is_a_robot(integrator, background):
+    text = (Path(__file__).parents[2] / "docs" / "wire.md").read_text()
+    code = text.split("```python\n")[1].split("```")[0]
+    assert "tcp://127.0.0.1:5555" in code and "poll(1000)" in code
+    end, applied = ControllerEnd(lambda card: Constant(), duration=0.05), []
+
+    def apply(u):
+        applied.append(u)
+        integrator.step(u)
+
+    with ControllerLink("tcp://127.0.0.1:*") as link:
+        code = code.replace("tcp://127.0.0.1:5555", link.endpoint).replace("poll(1000)", "poll(20000)")
+        names = {"CARD": json.loads(RobotCard.of(integrator).text), "TIMESTEP": 0.01, "SAFE_INPUT": (0.1, 0.0),
+                 "measure": lambda: integrator.displacement, "apply": apply}
+        other = background(exec, code, names)
+        serve(link, end, runs=1)
+        other.join()
+    names["socket"].close(0)
+    assert len(end.samples) == 6 and not end.counts
+    np.testing.assert_allclose(applied, [[0.4, 0.6]] * 5 + [(0.1, 0.0)])
+    np.testing.assert_allclose(end.samples[-1].observation, [2e-3, 3e-3])

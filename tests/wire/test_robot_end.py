@@ -64,7 +64,19 @@ def test_a_repeated_command_is_applied_once_and_counted(fake_robot, integrator):
     assert robot.counts == {"repeated": 5} and [tuple(u) for u in integrator.applied].count((0.4, 0.6)) == 5
 
 
-def test_a_late_command_is_dropped_and_the_last_input_held(fake_robot, integrator):
+def test_a_command_within_its_step_but_too_late_for_it_is_held_where_the_next_does_not_come(fake_robot, integrator):
+    delays = {2: 8e-3, 3: 30e-3}
+
+    def say(message):
+        return [(delays.get(message.sequence, 1e-3), command(message, [0.1 * message.sequence, 0.5]))]
+
+    robot, _ = fake_robot(controller(say=say), integrator, real_time=True)
+    robot.drive()
+    np.testing.assert_allclose(np.array(integrator.applied[-6:-1])[:, 0], [0.0, 0.1, 0.1, 0.2, 0.4])
+    assert robot.counts == {"missed": 2, "late": 1}
+
+
+def test_a_command_later_than_its_step_is_dropped_and_the_last_input_held(fake_robot, integrator):
     def late_at_two(message):
         return [(12e-3 if message.sequence == 2 else 1e-3, command(message, [0.1 * message.sequence, 0.5]))]
 
