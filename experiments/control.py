@@ -1,5 +1,7 @@
 """Artifact in closed loop with a plant: python experiments/control.py artifact=DIR; sweeps with -m artifact=A,B"""
 
+from contextlib import nullcontext
+
 from entry import entry_point, save_json, save_result
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
@@ -20,8 +22,9 @@ def main(config, directory):
                                                 output_names=plant.output_names)
     origin = provenance(OmegaConf.to_container(config, resolve=True)) | {"model": loaded.card["name"],
                                                                          "artifact": loaded.card["sha256"]}
-    record = simulate(plant, controller, task, seed=config.seed, noise_std=config.noise_std,
-                      progress=config.progress, provenance=origin | {"input_bounds": plant.input_bounds.tolist()})
+    with instantiate(config.view)(task, plant, directory) if config.view else nullcontext() as watch:
+        record = simulate(plant, controller, task, seed=config.seed, noise_std=config.noise_std, watch=watch,
+                          progress=config.progress, provenance=origin | {"input_bounds": plant.input_bounds.tolist()})
     record.save(directory / "record.h5")
     draw_robot(plant, record, directory, config.animate)
     metrics = closed_loop_metrics(record)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -90,11 +91,13 @@ class ClosedLoopRecord:
 
 
 def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, progress: bool = False,
-             provenance: dict | None = None) -> ClosedLoopRecord:
+             provenance: dict | None = None, watch: Callable[..., None] | None = None) -> ClosedLoopRecord:
     """Let the controller steer the plant through the task, from the plant's rest, one call per plant sample.
 
     seed: fixes the plant's randomness and the measurement noise.   noise_std: of every observed value, m, on top of
     what the plant's own sensors add.
+    watch: called once per sample, after the command was computed and before it acts, with time s, reference (q,) m,
+    observation (p,) m, measurement (p,) m, the Command, and the s that it took to compute; what it raises ends the run.
     Raises ValueError when the control period is not a multiple of the plant's timestep.
     """
     ratio = controller.period / plant.timestep
@@ -115,6 +118,8 @@ def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, 
         truth.append(np.array(plant.displacement, dtype=np.float64))
         samples.append(sample)
         commands.append(command)
+        if watch is not None:
+            watch(float(time[k]), task.reference(time[k])[0], truth[-1], sample + noise[k], command, durations[-1])
         if k + 1 < len(time):
             sample = np.array(plant.step(command.input), dtype=np.float64)
     settings = {"task": task.name, "plant": plant.name, "controller": type(controller).__name__,

@@ -40,6 +40,7 @@ def importers(*libraries: str) -> set[str]:
     (("onnx", "onnxruntime", "onnxscript"), {"deployment/onnx_program.py"}),
     (("fontTools",), {"tasks/symbols.py"}),
     (("zmq",), {"wire/link.py"}),
+    (("rerun",), {"view/rerun_view.py"}),
     (("gmsh", "skfem"), set()),
     (("hydra", "omegaconf", "wandb"), set()),
     (("pickle", "joblib", "dill"), set()),

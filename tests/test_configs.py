@@ -20,7 +20,10 @@ from ssmr_torch.plants.base import Plant
 from ssmr_torch.plants.rig import Rig
 from ssmr_torch.tasks.references import Task
 from ssmr_torch.trajectory import TrajectoryDataset
+from ssmr_torch.view.rerun_view import RerunView
 
+VIEW_SETTINGS = [name for name, parameter in inspect.signature(RerunView).parameters.items()
+                 if parameter.kind is parameter.KEYWORD_ONLY]
 CONF = Path(__file__).resolve().parents[1] / "conf"
 PRIMARY = sorted(path.stem for path in CONF.glob("*.yaml") if path.stem != "directories")
 
@@ -208,6 +211,19 @@ def test_every_controller_takes_every_task(controller, task):
                     output_names=plant.output_names)
     command = control(0.0, np.zeros(len(plant.output_names)))
     assert (command.input >= plant.input_bounds[0]).all() and (command.input <= plant.input_bounds[1]).all()
+
+
+@pytest.mark.parametrize("view", group("view"))
+def test_every_view_takes_task_and_plant(view, tmp_path):
+    config = compose("control", [f"view={view}"])
+    assert (config.view is None) == (view == "none")
+    if view != "none":
+        assert set(config.view) - {"_target_", "_partial_", "_convert_"} == set(VIEW_SETTINGS)
+    if view == "recording":
+        pytest.importorskip("rerun", reason="rerun is not installed: pip install 'ssmr_torch[view]'")
+        with instantiate(config.view)(instantiate(config.task), instantiate(config.plant), tmp_path):
+            pass
+        assert (tmp_path / config.view.recording).is_file()
 
 
 def _tables(outputs: int) -> PolynomialTables:

@@ -1,9 +1,10 @@
 """Our control step against other solvers on one instance: `python experiments/benchmarks/control_comparison.py`.
 
 The instance of control_step.py, the same noise for each, one process, set OMP_NUM_THREADS=1. Times are CPU time of the
-calling thread per control step, from the measurement to the input; where the wall time is much longer, the solver
-worked in other threads. The cost is that of the plant in closed loop. Needs `pip install 'ssmr_torch[benchmarks]'`;
-what is not installed is left out, and said.   --horizons 5 --laps 1 --solvers proxqp ipopt: a short run.
+calling thread per control step, from the measurement to the input; where the wall time is much longer, the machine was
+busy or the solver worked in other threads. The cost is that of the plant in closed loop.
+Needs `pip install 'ssmr_torch[benchmarks]'`; what is not installed is left out, and said.
+A short run: --horizons 5 --laps 1 --solvers proxqp ipopt.
 """
 
 from __future__ import annotations
