@@ -133,10 +133,11 @@ def torch_model(tables: ModelTables) -> ReducedModel:
                          f"{', '.join(sorted(kind.__name__ for kind in MODELS))}; leave torch and onnx out of the "
                          "formats")
     model = MODELS[type(tables)].from_tables(tables).requires_grad_(False).eval()
-    for name, table in [*model.named_parameters(), *model.named_buffers()]:
-        if not table.numel() and "." not in name:  # torch.export.save fails on what is registered and empty
-            delattr(model, name)
-            setattr(model, name, table.detach())
+    for module in model.modules():  # torch.export.save fails on what is registered and empty
+        for kept, registered in ((tuple, module._parameters), (Tensor.detach, module._buffers)):
+            for name in [name for name, table in registered.items() if not table.numel()]:
+                empty = registered.pop(name)
+                setattr(module, name, kept(empty))
     return model
 
 
@@ -148,6 +149,8 @@ def programs(tables: ModelTables, batch: dict[str, np.ndarray]) -> dict[str, Exp
         with _quiet(), torch.no_grad(), DoubleConstants():
             exported[name] = torch.export.export(FUNCTIONS[name](model), (), arguments,
                                                  dynamic_shapes={key: {0: size} for key in inputs}, strict=False)
+        exported[name].graph.eliminate_dead_code()  # such as a walk over no hidden layers, which cannot be stored
+        exported[name].graph_module.recompile()
     return exported
 
 

@@ -13,8 +13,9 @@ from ssmr_torch.deployment.reference import check, expected
 NAMES = ("encode", "decode", "step", "step_jacobians")
 # one of each kind and of what may go wrong in each; the others differ in degrees only
 UNROLLED = [pytest.param(kind, marks=pytest.mark.slow) for kind in (
-    "TPWL", "TPWL, blended", "neural ODE", "SSSR", "SSMR, quadratic control field")]
-KINDS = [*UNROLLED, "DMD", "EDMD, lifted anew", "EDMD, bilinear", "control-augmented"]
+    "TPWL", "TPWL, blended", "neural ODE", "SSSR", "SSMR, constant input matrix", "SSMR, quadratic control field")]
+KINDS = [*UNROLLED, "DMD", "EDMD, lifted anew", "EDMD, bilinear", "control-augmented", "one state", "one hidden layer",
+         "one point", "control-augmented without delays"]
 
 
 @pytest.fixture(scope="module")
