@@ -11,6 +11,7 @@ import json
 import logging
 import sys
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -40,11 +41,20 @@ def build(settings: dict, *arguments, **more):
         function = getattr(import_module(module), name)
     except (ModuleNotFoundError, AttributeError) as error:
         raise ValueError(f"cannot have {target}: {error}") from error
-    given = {key: value for key, value in settings.items() if not key.startswith("_")}
+    given = {key: _built(value) for key, value in settings.items() if not key.startswith("_")}
     try:
         return function(*arguments, **given, **more)
     except TypeError as error:
         raise ValueError(f"{target} does not take {given}: {error}") from error
+
+
+def _built(value):
+    """Settings within settings: an observer, which the controller itself completes, or obstacles."""
+    if isinstance(value, list):
+        return [_built(part) for part in value]
+    if not (isinstance(value, dict) and "_target_" in value):
+        return value
+    return partial(build, value) if value.get("_partial_") else build(value)
 
 
 def controller_for(loaded: artifact.Artifact, make: Callable, rest_tolerance: float = REST_TOLERANCE) -> Callable:

@@ -18,7 +18,7 @@ class OutputConstraints:
     the `NEAREST` ones only; the penalty counts all of them.
 
     columns: the tracked outputs, in which the obstacles lie; obstacles: with `clearance(time, outputs)`, circles with
-    `centers(time)` and `radius`, half-planes with `normal` and `offset`, such as those of `tasks.obstacles`.
+    `centers(time)` and `radius`, half-planes with `normal` and `offset`, `center` callable where it moves; such as those of `tasks.obstacles`.
     output_bounds: (2, p) m, ±inf where there is no bound, or None. margins: (N,) m, by which every constraint is
     tightened at its stage.
     Raises ValueError for crossed bounds or sizes that disagree.
@@ -30,6 +30,10 @@ class OutputConstraints:
         self.circles = [o for o in obstacles if hasattr(o, "radius")]
         self.walls = [o for o in obstacles if not hasattr(o, "radius")]
         self.radii = np.array([circle.radius for circle in self.circles])
+        self._moving = [i for i, circle in enumerate(self.circles) if callable(circle.center)]
+        self._centers = np.empty((len(self.circles), horizon, 2))
+        for i, circle in enumerate(self.circles):
+            self._centers[i] = circle.centers(np.zeros(horizon))
         self.margins = np.zeros(horizon) if margins is None else np.array(margins, dtype=np.float64)
         if self.margins.shape != (horizon,) or not (np.isfinite(self.margins) & (self.margins >= 0)).all():
             raise ValueError(f"margins are {self.margins.tolist()}; expected {horizon} lengths, one for each step of "
@@ -66,7 +70,12 @@ class OutputConstraints:
 
     def centers(self, times: np.ndarray) -> np.ndarray:
         """(circles, N, 2) m."""
-        return np.stack([circle.centers(times) for circle in self.circles])
+        if not self._moving:
+            return self._centers
+        centers = self._centers.copy()
+        for i in self._moving:
+            centers[i] = self.circles[i].centers(times)
+        return centers
 
     def rows(self, times: np.ndarray, outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """normals (N, r, p) and offsets (N, r) of normalᵀ y_k ≥ offset, around outputs (N, p) at times (N,) s."""
@@ -80,7 +89,8 @@ class OutputConstraints:
             distance = np.sqrt(np.square(away).sum(-1))
             clearance = distance - self.radii[:, None]
             if self.nearest < len(self.circles):
-                chosen = np.argpartition(clearance, self.nearest - 1, axis=0)[:self.nearest]
+                # in their own order: a solver that starts from its last solution finds every row where it was
+                chosen = np.sort(np.argpartition(clearance, self.nearest - 1, axis=0)[:self.nearest], axis=0)
             else:
                 chosen = np.broadcast_to(np.arange(self.nearest)[:, None], (self.nearest, N))
             stages = np.arange(N)

@@ -65,3 +65,12 @@ def kkt_residuals(H, g, lower, upper, C, row_lower, row_upper, x, box, rows):
     if not np.isfinite(weight + gap):
         return np.nan, np.nan, np.nan, np.nan
     return primal, dual, abs(gap), weight
+
+
+@compiled
+def drop_absent(multipliers, lower, upper):
+    """Set to zero, in place, what rounding has left at bounds that are infinite."""
+    for i in range(len(multipliers)):
+        bound = upper[i] if multipliers[i] > 0.0 else lower[i]
+        if np.isinf(bound):
+            multipliers[i] = 0.0

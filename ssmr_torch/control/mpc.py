@@ -18,7 +18,7 @@ from ssmr_torch.status import Status
 # A reference that differs by more than this from the one planned for is a new one, m.
 REFERENCE_CHANGE = 1e-6
 # A violation costs as much as tracking errors of this size at every stage pull, m: more than any error in the workspace.
-PULL = 0.1
+PULL = 0.05
 
 
 class ModelPredictiveController:

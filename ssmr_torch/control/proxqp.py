@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from proxsuite import proxqp
 
+from ssmr_torch.control import kkt
 from ssmr_torch.control.qp import ROUNDING, QPSolution, QuadraticProgram
 from ssmr_torch.status import Status
 
@@ -82,7 +83,11 @@ class ProxQP:
         self._workspace.solve()
         results = self._workspace.results
         z = results.z.copy()
-        return QPSolution.judged(problem, results.x + shift, z[self.rows:], z[:self.rows],
+        box, rows = z[self.rows:], z[:self.rows]
+        kkt.drop_absent(box, problem.lower, problem.upper)
+        if self.rows:
+            kkt.drop_absent(rows, problem.row_lower, problem.row_upper)
+        return QPSolution.judged(problem, results.x + shift, box, rows,
                                  PROXQP_STATUS[results.info.status], results.info.iter, self.tolerance)
 
     def _load(self, problem: QuadraticProgram) -> np.ndarray:

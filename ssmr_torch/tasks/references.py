@@ -66,10 +66,11 @@ class Task:
 
 
 def figure_eight(amplitude: float = 0.015, angular_speed: float = 4.0, laps: float = 6.0, ramp: float = 1.0,
-                 tracked: Sequence[int | str] = (0, 1), name: str = "figure eight") -> Task:
+                 tracked: Sequence[int | str] = (0, 1), name: str = "figure eight", obstacles=()) -> Task:
     """(−a sin θ, a sin 2θ), 9.4294 a long per lap, from and to rest; θ is that of `ramped_phase`.
 
-    amplitude a in m; angular_speed in rad/s (the paper's are 0.2 and 4); ramp in s; laps may be a fraction.
+    amplitude a in m; angular_speed in rad/s (the paper's are 0.2 and 4); ramp in s; laps may be a fraction; obstacles
+    as in `Task`.
     """
     phase, duration = ramped_phase(2 * np.pi * laps, angular_speed, ramp)
 
@@ -78,11 +79,11 @@ def figure_eight(amplitude: float = 0.015, angular_speed: float = 4.0, laps: flo
         trace[:, 0], trace[:, 1] = -amplitude * np.sin(theta), amplitude * np.sin(2 * theta)
         return trace
 
-    return Task(name, duration, tuple(tracked), path)
+    return Task(name, duration, tuple(tracked), path, obstacles)
 
 
 def circle(amplitude: float = 0.010, angular_speed: float = 17.0, laps: float = 20.0, ramp: float = 1.0,
-           tracked: Sequence[int | str] = (1, 2), name: str = "circle") -> Task:
+           tracked: Sequence[int | str] = (1, 2), name: str = "circle", obstacles=()) -> Task:
     """(a sin θ, a − a cos θ), a circle through the rest position, from and to rest; arguments as above."""
     phase, duration = ramped_phase(2 * np.pi * laps, angular_speed, ramp)
 
@@ -90,7 +91,7 @@ def circle(amplitude: float = 0.010, angular_speed: float = 17.0, laps: float = 
         theta = phase(time)
         return amplitude * np.stack([np.sin(theta), 1.0 - np.cos(theta)], axis=-1)
 
-    return Task(name, duration, tuple(tracked), path)
+    return Task(name, duration, tuple(tracked), path, obstacles)
 
 
 def ramped_phase(total: float, speed: float, ramp: float) -> tuple[Callable[[np.ndarray], np.ndarray], float]:

@@ -15,7 +15,7 @@ ARC_STEPS = 1440  # straight pieces of pacman's arc, whose length is then right 
 
 def symbol(text: str = "S", half_size: float = 0.020, duration: float = 10.0, ramp: float = 1.0,
            tracked: Sequence[int | str] = ("tip_x", "tip_y"), font: str | None = None,
-           name: str | None = None) -> Task:
+           name: str | None = None, obstacles=()) -> Task:
     """The outlines of a text, one after the other, at the one speed of `constant_speed`.
 
     The pen is never lifted: it closes each curve of `contours` and goes straight to the next, as fast as it draws.
@@ -29,11 +29,12 @@ def symbol(text: str = "S", half_size: float = 0.020, duration: float = 10.0, ra
     corners = np.concatenate(contours(text, font))
     low, high = corners.min(axis=0), corners.max(axis=0)
     corners = (corners - (low + high) / 2) * (2 * half_size / (high - low).max())
-    return constant_speed(corners, duration, ramp, tracked, text if name is None else name)
+    return constant_speed(corners, duration, ramp, tracked, text if name is None else name, obstacles)
 
 
 def pacman(radius: float = 0.020, mouth: float = np.pi / 3, duration: float = 10.0, ramp: float = 1.0,
-           tracked: Sequence[int | str] = ("tip_x", "tip_y"), name: str = "pacman") -> Task:
+           tracked: Sequence[int | str] = ("tip_x", "tip_y"), name: str = "pacman",
+           obstacles=()) -> Task:
     """A disc around rest that opens its mouth towards +x, (2 + 2π − mouth) radius long, from and to its centre.
 
     radius in m; mouth, the angle between the two straight edges, in rad; duration and ramp in s.
@@ -45,11 +46,12 @@ def pacman(radius: float = 0.020, mouth: float = np.pi / 3, duration: float = 10
         raise ValueError(f"pacman's mouth opens by {mouth} rad; expected more than 0 and less than 2π = 6.283, "
                          "for 60 degrees 1.0472")
     angle = np.linspace(mouth / 2, 2 * np.pi - mouth / 2, ARC_STEPS + 1)
-    return constant_speed(radius * np.stack([np.cos(angle), np.sin(angle)], axis=1), duration, ramp, tracked, name)
+    corners = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return constant_speed(corners, duration, ramp, tracked, name, obstacles)
 
 
 def constant_speed(corners: np.ndarray, duration: float, ramp: float, tracked: Sequence[int | str],
-                   name: str) -> Task:
+                   name: str, obstacles=()) -> Task:
     """Straight from rest through corners (n, 2) m and straight back to rest, at |v| = length / (duration − ramp).
 
     The arc length is the phase of `ramped_phase`: along the path, position, velocity and acceleration are
@@ -74,7 +76,7 @@ def constant_speed(corners: np.ndarray, duration: float, ramp: float, tracked: S
         distance = phase(time)
         return np.stack([np.interp(distance, travelled, x), np.interp(distance, travelled, y)], axis=-1)
 
-    return Task(name, duration, tuple(tracked), path)
+    return Task(name, duration, tuple(tracked), path, obstacles)
 
 
 def contours(text: str, font: str | None = None, steps: int = 64) -> list[np.ndarray]:

@@ -196,6 +196,11 @@ class ControllerEnd:
         self.samples.append(sample)
         return sample
 
+    def prepare(self) -> None:
+        """When an input has been sent to a robot that does not wait: what can be done before its next measurement."""
+        if self.card is not None and self.card.real_time:
+            getattr(self.controller, "prepare", lambda: None)()
+
     def _decide(self, time: float, observation: np.ndarray, missed: bool) -> list[Reply]:
         sample, number = self._ask(time, observation), self._stream.next - 1
         if self.duration is not None and number >= np.ceil(self.duration / self.card.timestep - 1e-9):

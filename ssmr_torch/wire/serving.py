@@ -27,6 +27,8 @@ def serve(link, end: ControllerEnd, *, runs: int | None = None, done: Callable[[
             replies = end.tick(now) if received is None else end.receive(*received, now)
             for peer, message in replies:
                 link.send(peer, message)
+            if replies:
+                end.prepare()
             if end.finished > finished:
                 finished = end.finished
                 if done is not None:

@@ -7,6 +7,9 @@ import pytest
 
 from ssmr_torch.control.horizon import CompiledHorizon, LinearHorizon, LinearizedHorizon, horizon_for
 from ssmr_torch.control.problem import TrackingProblem
+from ssmr_torch.models.control_augmented_tables import ControlAugmentedTables, joint_monomials
+from ssmr_torch.models.koopman_tables import KoopmanTables
+from ssmr_torch.models.monomials import count_monomials
 
 
 def problem_of(bench, horizon=6, **changes):
@@ -47,6 +50,63 @@ def test_the_kernel_equals_its_twin_for_a_curved_output_with_substeps(bench):
     for ours, theirs in zip(kernel.condense(state, inputs, reference),
                             twin.condense(state, inputs, reference)):
         assert np.abs(ours - theirs).max() <= 1e-12 * np.abs(theirs).max()
+
+
+def joint(rng, degree, input_degree, repeats, curved):
+    """A stable control-augmented model with random coefficients."""
+    monomials = joint_monomials(6, 4, degree, input_degree)
+    dynamics = 4.0 * rng.standard_normal((6, len(monomials)))
+    dynamics[:, :6] = -8.0 * np.eye(6) + 3.0 * rng.standard_normal((6, 6))
+    output = np.hstack([np.eye(6), 4.0 * rng.standard_normal((6, 21))]) if curved else np.eye(6)
+    return ControlAugmentedTables(
+        chart=np.eye(6), parametrization=output, dynamics=dynamics, parametrization_degree=2 if curved else 1,
+        dynamics_degree=degree, input_degree=input_degree, state_scale=np.ones(6), input_dim=4, output_dim=6, delays=0,
+        timestep=0.01 * repeats, window_timestep=0.01, base_timestep=0.01)
+
+
+def lifted(rng, bilinear, relift, constant=True, repeats=2):
+    """A stable Koopman model of degree two with random coefficients."""
+    count = count_monomials(6, 0 if constant else 1, 2)
+    rows = 6 if relift else count
+    A, B = 0.03 * rng.standard_normal((rows, count)), 0.1 * rng.standard_normal((rows, 4))
+    A[:, :rows] += 0.9 * np.eye(rows)
+    N = 0.02 * rng.standard_normal((4, rows, count)) if bilinear else np.zeros((0, rows, count))
+    return KoopmanTables(
+        scale=np.full(6, 0.02), A=A, B=B, N=N, pregain=np.zeros((0, 7)), set_points=np.zeros((0, 7)), degree=2,
+        input_delays=0, constant=constant, relift=relift, state_scale=np.ones(count), input_dim=4, output_dim=6,
+        delays=0, timestep=0.01 * repeats, window_timestep=0.01, base_timestep=0.01)
+
+
+@pytest.mark.parametrize(("kind", "make"), [
+    (CompiledHorizon, lambda rng: joint(rng, 2, 2, 2, False)), (CompiledHorizon, lambda rng: joint(rng, 3, 1, 2, True)),
+    (LinearHorizon, lambda rng: joint(rng, 1, 1, 2, False)), (CompiledHorizon, lambda rng: lifted(rng, True, False)),
+    (LinearHorizon, lambda rng: lifted(rng, False, False)),
+    (LinearHorizon, lambda rng: lifted(rng, False, False, constant=False)),
+    (LinearizedHorizon, lambda rng: lifted(rng, True, True, constant=False))])
+def test_models_in_discrete_time_have_the_horizon_that_suits_them_and_it_equals_the_batched_one(bench, kind, make):
+    rng = np.random.default_rng(5)
+    model, problem = make(rng), problem_of(bench)
+    horizon, twin = horizon_for(model, problem), LinearizedHorizon(model.at_timestep(problem.period), problem)
+    assert type(horizon) is kind
+    state, inputs = 0.05 * rng.standard_normal(model.state_dim), rng.uniform(0, 0.6, (6, 4))
+    reference = problem.reference_ahead(0.2)
+    for offsets in ((None, None), (np.array([0.1, 0, 0.05, 0]), np.full(6, 1e-3))):
+        for one in (horizon, twin):
+            one.input_offset, one.output_offset = offsets
+        for ours, theirs in zip((*horizon.rollout(state, inputs), *horizon.condense(state, inputs, reference)[1:]),
+                                (*twin.rollout(state, inputs), *twin.condense(state, inputs, reference)[1:])):
+            assert np.abs(ours - theirs).max() <= 1e-12 * np.abs(theirs).max()
+
+
+def test_a_linear_point_that_is_moved_is_the_point_condensed_there(bench):
+    model, problem = bench.oscillators(3, 1, 0), problem_of(bench)
+    for horizon in (horizon_for(model, problem), LinearizedHorizon(model.at_timestep(problem.period), problem)):
+        (state, inputs), other = point_of(1), point_of(2)[0]
+        reference, later = problem.reference_ahead(0.1), problem.reference_ahead(0.4)
+        moved = horizon.moved(horizon.condense(state, inputs, reference), other, inputs, later)
+        there = horizon.condense(other, inputs, later)
+        np.testing.assert_allclose(moved.outputs, there.outputs, rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(moved.gradient, there.gradient, rtol=1e-9, atol=1e-9)
 
 
 def test_the_gradient_is_that_of_the_cost_of_the_rollout(bench):
