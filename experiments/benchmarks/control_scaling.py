@@ -2,7 +2,8 @@
 
 Three series of runs on the instance of control_step.py: the horizon N; the state dimension, with linear models whose
 state is a window of measurements (N = 10); the number of circles to avoid, near the path and far from it (N = 10).
-CPU time per control step; failures are fallbacks.   --laps 1 --series states: a short run.
+CPU time per control step; failures are fallbacks; clearance is the smallest from any circle, negative inside.
+A short run: --laps 1 --series states.
 """
 
 from __future__ import annotations
@@ -75,12 +76,12 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--qp", default="proxqp", help="solver of the controller")
     given = parser.parse_args(arguments)
     print(f"{machine('numba', 'proxsuite')}, {given.qp}")
-    print(f"{'':<12} {'steps':>6} {'CPU median':>11} {'CPU p99':>11} {'failures':>9} {'RMSE':>9}")
+    print(f"{'':<12} {'steps':>6} {'CPU median':>11} {'CPU p99':>11} {'failures':>9} {'RMSE':>9} {'clearance':>10}")
     for name in given.series:
         for size, result in series(name, given.laps, given.qp):
             median, p99 = np.percentile(result["cpu"], (50, 99))
             print(f"{size:<12} {result['steps']:>6} {median:>8.3f} ms {p99:>8.3f} ms {result['failures']:>9} "
-                  f"{result['rmse']:>6.3f} mm", flush=True)
+                  f"{result['rmse']:>6.3f} mm {result['clearance']:>7.2f} mm", flush=True)
 
 
 if __name__ == "__main__":

@@ -92,13 +92,14 @@ def measure(horizon: int, laps: float = 6.0, build=ModelPredictiveController, mo
 
     build(model, task, BOUNDS, horizon=horizon) → the controller, which counts its `fallbacks`.   model, task: default
     the oscillators and the fast figure eight of so many laps; the plant is always the perturbed oscillators.
-    cost: mean of ‖y − ŷ‖²_Q + ‖u‖²_R over the control steps, with the plant's true outputs.
+    cost: mean of ‖y − ŷ‖²_Q + ‖u‖²_R over the control steps, with the plant's true outputs.   clearance: the smallest
+    from an obstacle at a control step, mm; infinite without one.
     """
     task = figure_eight(laps=laps) if task is None else task
     plant = TablesPlant(perturbed(oscillators(), 0.03))
     controller = build(oscillators() if model is None else model, task, BOUNDS, horizon=horizon)
     rng, observation = np.random.default_rng(0), plant.reset()
-    cpu, wall, inputs, errors = [], [], [], []
+    cpu, wall, inputs, errors, clearance = [], [], [], [], np.inf
     for k in range(round(task.duration / plant.timestep)):
         measured = observation + 3e-5 * rng.standard_normal(6)
         starts = thread_time(), perf_counter()
@@ -108,10 +109,13 @@ def measure(horizon: int, laps: float = 6.0, build=ModelPredictiveController, mo
             wall.append(perf_counter() - starts[1])
             inputs.append(command.input)
             errors.append(observation[:2] - task.reference(k * plant.timestep)[0])
+            clearance = min([clearance, *(float(obstacle.clearance(k * plant.timestep, observation[None, :2])[0])
+                                          for obstacle in task.obstacles)])
         observation = plant.step(command.input)
     saturated, squares = np.isclose(inputs, BOUNDS[1]).mean(), np.mean(np.sum(np.square(errors), axis=1))
     return {"N": horizon, "steps": len(cpu), "cpu": 1e3 * np.array(cpu), "wall": 1e3 * np.array(wall),
             "failures": sum(controller.fallbacks.values()), "saturated": saturated, "rmse": 1e3 * np.sqrt(squares),
+            "clearance": 1e3 * clearance,
             "cost": OUTPUT_WEIGHT * squares + INPUT_WEIGHT * np.mean(np.sum(np.square(inputs), axis=1))}
 
 

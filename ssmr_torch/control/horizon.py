@@ -161,7 +161,7 @@ def horizon_for(model, problem: TrackingProblem) -> Horizon:
         raise ValueError(f"the model has {model.input_dim} inputs and {model.output_dim} outputs; "
                          f"the problem has {problem.input_dim} and {problem.output_dim}")
     model = model.at_timestep(problem.period)
-    if getattr(model, "linear", False):
+    if getattr(model, "affine", False):
         return LinearHorizon(model, problem)
     if all(isinstance(getattr(model, name, None), np.ndarray) for name in POLYNOMIAL):
         return CompiledHorizon(model, problem, kernel.tables_of(model), kernel.rollout, kernel.linearize)

@@ -35,7 +35,7 @@ class ModelPredictiveController:
     iterations: quadratic programs per step; one is the real-time iteration.   first_iterations: the same
     after a start, a fallback, a gap in time or a change of the reference.
     range_factor: a state is not believed when its norm exceeds that of state_scale by this factor.
-    observer: (model at timestep, input range) → `Estimator`, such as a partial `KalmanObserver`; None: the chart.
+    observer: (model at timestep, input range) → `Estimator`, such as a partial `KalmanObserver`; nothing: the chart.
     measurement_delay: s, a whole number of timesteps, by which measurements are old; the model bridges it.
     frozen_after: so many measurements, equal to the last bit while the input changed, are a frozen sensor; 0: never.
     qp: proxqp, daqp or qpsolvers:NAME.   solver: an object with `solve(QuadraticProgram)` and `reset()` instead.
@@ -71,8 +71,7 @@ class ModelPredictiveController:
         self.tolerance, self.frozen_after = float(tolerance), int(frozen_after)
         self._largest_norm = float(range_factor) * float(np.linalg.norm(model.state_scale))
         self._fine = model.at_timestep(self.timestep)
-        self.estimator = ChartEstimator(model, stride) if observer is None \
-            else observer(self._fine, self.problem.input_scale)
+        self.estimator = observer(self._fine, self.problem.input_scale) if observer else ChartEstimator(model, stride)
         self._warm_up()
 
     def _problem(self, input_bounds, output_names, horizon, output_weight, terminal_weight, input_weight, input_rate,

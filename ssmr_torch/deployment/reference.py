@@ -1,8 +1,10 @@
-"""What a deployed form must agree on with the model it was made from."""
+"""What a deployed form must agree on with the model it was made from, and how closely."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,10 +12,60 @@ from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
 from ssmr_torch.models.tables import ModelTables
 
 TOLERANCE = 1e-12
+ROUNDING = 10.0  # how many times what rounding of the tables does to the model's own answer a form may differ
 
 
-def expected(model: ModelTables, batch: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What the tables make of an artifact's reference batch: state z, A, B, next; window z; outputs y, C."""
+class Sought(NamedTuple):
+    """What the model computes, and the largest difference allowed, relative to its largest entry."""
+
+    values: np.ndarray
+    tolerance: float
+
+
+def expected(model: ModelTables, batch: dict[str, np.ndarray]) -> dict[str, Sought]:
+    """What the tables make of an artifact's reference batch: encode, decode, step, A, B, C, and, with "horizon " before
+    them, states, A, B, outputs, C along `horizon_inputs`.
+
+    The tolerance is 1e-12, or ten times what the last bit of the tables changes in the answer where that is more: a
+    Kalman filter may not be determined any better.
+    """
+    rng = np.random.default_rng(0)
+    moved = replace(model, **{name: table * (1 + 2.0 ** -52 * rng.choice([-1, 1], table.shape))
+                              for name in model.array_names() for table in [getattr(model, name)]})
+    z, inputs = horizon_inputs(model, batch)
+    values, other = (_answers(each, batch) | _along(each, z, inputs) for each in (model, moved))
+    return {name: Sought(values[name], max(TOLERANCE, ROUNDING * _difference(other[name], values[name])))
+            for name in values}
+
+
+def horizon_inputs(model: ModelTables, batch: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The first state (n,) of the batch, and its inputs (H, m) one after the other, up to where the model diverges."""
+    z, inputs = batch["state"][0], batch["input"]
+    with np.errstate(over="ignore", invalid="ignore"):  # of a rollout that diverges
+        norm = np.linalg.norm(model.rollout(z, inputs), axis=-1)
+    inside = np.isfinite(norm) & (norm <= DIVERGENCE_FACTOR * np.linalg.norm(model.state_scale))
+    return z, inputs if inside.all() else inputs[:max(0, int(inside.argmin()) - 1)]
+
+
+def check(form: str, comparisons: Iterable[tuple[str, np.ndarray, Sought]]) -> float:
+    """The largest difference of (name, found, sought), relative to the largest entry of what is sought.
+
+    Raises ValueError where one exceeds its tolerance, or a shape differs.
+    """
+    largest = 0.0
+    for name, found, (values, tolerance) in comparisons:
+        if found.shape != values.shape:
+            raise ValueError(f"{form}: {name} has shape {found.shape}, the model's is {values.shape}; nothing was "
+                             "replaced")
+        error = _difference(found, values)
+        if not error <= tolerance:
+            raise ValueError(f"{form}: {name} differs from the model's by {error:.3g} relative, more than "
+                             f"{tolerance:.3g}; nothing was replaced. Leave this format out, or report the model")
+        largest = max(largest, error)
+    return largest
+
+
+def _answers(model: ModelTables, batch: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     z, u = batch["state"], batch["input"]
     A, B, _ = model.linearize(z, u)
     C, _ = model.linearize_output(z)
@@ -21,34 +73,15 @@ def expected(model: ModelTables, batch: dict[str, np.ndarray]) -> dict[str, np.n
             "step": model.step(z, u), "A": A, "B": B, "C": C}
 
 
-def expected_horizon(model: ModelTables, z: np.ndarray, inputs: np.ndarray) -> dict[str, np.ndarray]:
-    """The horizon from z (n,) under inputs (H, m), up to where the model diverges: its inputs, and what to find."""
-    with np.errstate(over="ignore", invalid="ignore"):  # of a rollout that diverges
-        states = model.rollout(z, inputs)
-        norm = np.linalg.norm(states, axis=-1)
-    inside = np.isfinite(norm) & (norm <= DIVERGENCE_FACTOR * np.linalg.norm(model.state_scale))
-    states = states[:len(states) if inside.all() else max(1, int(inside.argmin()))]
-    A, B, _ = model.linearize(states[:-1], inputs[:len(states) - 1])
+def _along(model: ModelTables, z: np.ndarray, inputs: np.ndarray) -> dict[str, np.ndarray]:
+    states = model.rollout(z, inputs)
+    A, B, _ = model.linearize(states[:-1], inputs)
     C, _ = model.linearize_output(states)
-    return {"inputs": inputs[:len(states) - 1], "states": states, "A": A, "B": B, "outputs": model.decode(states),
-            "C": C}
+    return {"horizon states": states, "horizon A": A, "horizon B": B, "horizon outputs": model.decode(states),
+            "horizon C": C}
 
 
-def check(form: str, comparisons: Iterable[tuple[str, np.ndarray, np.ndarray]]) -> float:
-    """The largest difference of (name, found, expected), relative to the largest entry of what is expected.
-
-    Raises ValueError where one exceeds `TOLERANCE`, or a shape differs.
-    """
-    largest = 0.0
-    for name, found, sought in comparisons:
-        if found.shape != sought.shape:
-            raise ValueError(f"{form}: {name} has shape {found.shape}, the model's is {sought.shape}; nothing was "
-                             "replaced")
-        if not sought.size:
-            continue
-        error = float(np.abs(found - sought).max() / max(np.abs(sought).max(), np.finfo(np.float64).tiny))
-        if not error <= TOLERANCE:
-            raise ValueError(f"{form}: {name} differs from the model's by {error:.3g} relative, more than "
-                             f"{TOLERANCE:g}; nothing was replaced. Leave this format out, or report the model")
-        largest = max(largest, error)
-    return largest
+def _difference(found: np.ndarray, values: np.ndarray) -> float:
+    if not values.size:
+        return 0.0
+    return float(np.abs(found - values).max() / max(np.abs(values).max(), np.finfo(np.float64).tiny))

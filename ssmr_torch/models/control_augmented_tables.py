@@ -27,7 +27,7 @@ class ControlAugmentedTables(DiscreteTimeTables):
     input_degree: int
 
     @property
-    def linear(self) -> bool:
+    def affine(self) -> bool:
         return self.dynamics_degree == 1 and self.parametrization_degree == 1
 
     @cached_property

@@ -34,7 +34,7 @@ class KoopmanTables(DiscreteTimeTables):
     relift: bool = False
 
     @property
-    def linear(self) -> bool:
+    def affine(self) -> bool:
         return not len(self.N) and not self.relift
 
     @cached_property

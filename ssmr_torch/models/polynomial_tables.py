@@ -32,7 +32,7 @@ class PolynomialTables(ModelTables):
     substeps: int
 
     @property
-    def linear(self) -> bool:
+    def affine(self) -> bool:
         return self.dynamics_degree == 1 and self.control_degree == 0 and self.parametrization_degree == 1
 
     @property

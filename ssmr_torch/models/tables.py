@@ -48,7 +48,7 @@ class ModelTables(ABC):
         return len(self.state_scale)
 
     @property
-    def linear(self) -> bool:
+    def affine(self) -> bool:
         """Whether z⁺ is affine in (z, u), and y in z, everywhere: a controller then condenses once for all."""
         return False
 

@@ -29,7 +29,7 @@ class Task:
 
     def __post_init__(self):
         object.__setattr__(self, "tracked", tuple(self.tracked))
-        object.__setattr__(self, "obstacles", tuple(self.obstacles))
+        object.__setattr__(self, "obstacles", tuple(self.obstacles or ()))
         if not (np.isfinite(self.duration) and self.duration > 0):
             raise ValueError(f"task {self.name!r} lasts {self.duration} s; expected a positive time")
         if not self.tracked or len(set(self.tracked)) != len(self.tracked):

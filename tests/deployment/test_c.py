@@ -5,6 +5,7 @@ import shutil
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from ctypes import c_void_p
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from ssmr_torch.deployment.c_library import compiler
 from ssmr_torch.deployment.c_source import write_c
 from ssmr_torch.deployment.c_text import comment, identifier, table
 from ssmr_torch.deployment.deploy import check_c
-from ssmr_torch.deployment.reference import check, expected_horizon
+from ssmr_torch.deployment.reference import Sought, check, expected, horizon_inputs
 
 
 def random_batch(model, seed=3, size=9):
@@ -101,8 +102,8 @@ def test_a_horizon_of_no_steps_is_the_state_and_its_outputs(compiled):
 
 def test_the_reference_horizon_ends_where_the_model_diverges(compiled):
     model, batch = compiled("SSMR")[1:3]
-    far = expected_horizon(model, 1e3 * model.state_scale, batch["input"])
-    assert far["states"].shape == (1, 6) and far["inputs"].shape == (0, 4)
+    assert horizon_inputs(model, batch)[1].shape == batch["input"].shape
+    assert horizon_inputs(model, batch | {"state": 1e3 * batch["state"]})[1].shape == (0, 4)
 
 
 def test_a_cpp_program_can_include_the_header(compiled):
@@ -150,8 +151,22 @@ def test_a_model_that_has_no_c_form_is_refused_with_those_that_have_one(artifact
 
 
 def test_a_difference_is_refused_with_both_numbers():
-    assert check("c", [("next", np.array([1.0, 2.0]), np.array([1.0, 2.0 + 4e-13]))]) == pytest.approx(2e-13, rel=1e-2)
+    one = Sought(np.array([1.0, 2.0]), 1e-12)
+    assert check("c", [("next", np.array([1.0, 2.0 + 4e-13]), one)]) == pytest.approx(2e-13, rel=1e-2)
     with pytest.raises(ValueError, match="c: next differs from the model's by 2e-12 relative, more than 1e-12"):
-        check("c", [("next", np.array([1.0, 2.0]), np.array([1.0, 2.0 + 4e-12]))])
+        check("c", [("next", np.array([1.0, 2.0 + 4e-12]), one)])
     with pytest.raises(ValueError, match="differs from the model's by nan relative"):
-        check("c", [("next", np.array([np.nan]), np.ones(1))])
+        check("c", [("next", np.array([1.0, np.nan]), one)])
+    with pytest.raises(ValueError, match=r"c: next has shape \(3,\), the model's is \(2,\)"):
+        check("c", [("next", np.ones(3), one)])
+
+
+def test_what_rounding_leaves_open_in_the_model_itself_is_allowed_and_nothing_more(compiled):
+    model, batch = compiled("SSMR")[1:3]
+    assert {sought.tolerance for sought in expected(model, batch).values()} == {1e-12}
+    chart = np.zeros_like(model.chart)
+    chart[:, 0], chart[:, 1] = 1.0, -1.0  # z = w_1 - w_2, of windows where the two differ by a millionth
+    window = batch["window"].copy()
+    window[:, 0, 1] = window[:, 0, 0] * (1.0 - 1e-6)
+    found = expected(replace(model, chart=chart), batch | {"window": window})
+    assert 1e-10 < found["encode"].tolerance < 1e-8 and found["step"].tolerance == 1e-12
