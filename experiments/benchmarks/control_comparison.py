@@ -26,8 +26,9 @@ from ssmr_torch.control.mpc import ModelPredictiveController
 PRECISE = {
     "osqp": {"eps_abs": 1e-6, "eps_rel": 0.0, "max_iter": 20_000},
     "piqp": {"eps_abs": 1e-6, "eps_rel": 0.0},
-    "proxqp": {"eps_abs": 1e-6, "eps_rel": 0.0, "backend": "dense"},
-    "clarabel": {"tol_gap_abs": 1e-8, "tol_gap_rel": 1e-8, "tol_feas": 1e-8},
+    "proxqp": {"eps_abs": 1e-6, "eps_rel": 0.0, "backend": "dense", "check_duality_gap": True,
+               "eps_duality_gap_abs": 1e-6, "eps_duality_gap_rel": 0.0},
+    "clarabel": {"tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10},
 }
 OTHERS = {"ipopt": ipopt, "casadi_rti": casadi_rti, "casadi_rti_c": partial(casadi_rti, compiled=True),
           "acados": Acados}
