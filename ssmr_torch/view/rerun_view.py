@@ -9,6 +9,7 @@ import sys
 from collections import deque
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Thread
 from time import perf_counter
 
 import numpy as np
@@ -51,6 +52,7 @@ class RerunView:
         self._path, self._samples, self._fallbacks = deque(), 0, 0
         self._standing = [shape for shape in task.obstacles if not _moves(shape)]
         self._moving = [shape for shape in task.obstacles if _moves(shape)]
+        self._seen = np.zeros(len(self._columns))  # the last measurement that was not missing
         self._stream = None
         try:
             self._open(None if recording is None else Path(directory) / recording, address)
@@ -66,10 +68,10 @@ class RerunView:
         self.close()
 
     def close(self) -> None:
-        """Complete the recording; later samples are not shown. Twice does no harm."""
+        """Complete the recording; later samples are not shown. Twice does no harm. Never raises."""
         stream, self._stream = self._stream, None
         if stream is not None:
-            stream.disconnect()
+            _disconnect(stream)
 
     def __call__(self, time: float, reference: np.ndarray, observation: np.ndarray, measurement: np.ndarray, command,
                  solve_time: float) -> None:
@@ -90,11 +92,9 @@ class RerunView:
     def _end(self, why: str) -> None:
         LOGGER.warning("The live view ended: %s. The loop goes on.", why)
         stream, self._stream = self._stream, None
-        try:
-            if stream is not None:
-                stream.disconnect()
-        except Exception as error:
-            LOGGER.debug("and could not be closed: %s", error)
+        if stream is not None:
+            # rerun waits seconds for a viewer that is gone; the loop does not.
+            Thread(target=_disconnect, args=(stream,), daemon=True).start()
 
     def _open(self, recording: Path | None, address: str | None) -> None:
         self._stream = self._rerun.RecordingStream(f"ssmr_torch: {self.task.name}")
@@ -145,7 +145,9 @@ class RerunView:
         rr = self._rerun
         self._stream.set_time(TIMELINE, duration=time)
         tip = _in_space(observation)
-        self._log("scene/points", rr.Points3D(_in_space(np.stack([observation, measurement, reference]))))
+        if np.isfinite(measurement).all():
+            self._seen = measurement
+        self._log("scene/points", rr.Points3D(_in_space(np.stack([observation, self._seen, reference]))))
         self._log("scene/paths", self._paths(time, tip, command.plan))
         if self._moving:
             self._log("scene/moving_obstacles", rr.LineStrips3D([_outline(shape, time) for shape in self._moving]))
@@ -168,6 +170,13 @@ class RerunView:
             strips += [np.vstack([tip, _in_space(plan.outputs[:, self._columns])]),
                        _in_space(plan.reference[:, self._columns])]
         return self._rerun.LineStrips3D(strips)
+
+
+def _disconnect(stream) -> None:
+    try:
+        stream.disconnect()
+    except Exception as error:
+        LOGGER.warning("What the live view had left to show is lost: %s", error)
 
 
 @contextmanager

@@ -1,7 +1,9 @@
 """Claims about the live view: it shows what happened, in SI units, and never disturbs the loop."""
 
 import logging
+import os
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -194,9 +196,33 @@ def test_a_viewer_that_does_not_open_or_is_slow_ends_the_view_too(rerun, monkeyp
 
 
 def test_a_viewer_is_opened_here_or_found_by_its_address(rerun, monkeypatch):
-    opened = []
-    monkeypatch.setattr(rerun.RecordingStream, "spawn", lambda self, **_: opened.append("here"))
+    """The viewer installed beside this Python is found, whether or not its environment is activated."""
+    opened, path = [], os.environ["PATH"]
+    monkeypatch.setattr(rerun.RecordingStream, "spawn",
+                        lambda self, **_: opened.append(os.environ["PATH"].split(os.pathsep)[0]))
     monkeypatch.setattr(rerun.RecordingStream, "connect_grpc", lambda self, url, **_: opened.append(url))
     RerunView(TASK, Plant()).close()
     RerunView(TASK, Plant(), address="rerun+http://robot:9876/proxy").close()
-    assert opened == ["here", "rerun+http://robot:9876/proxy"]
+    assert opened == [str(Path(sys.executable).parent), "rerun+http://robot:9876/proxy"]
+    assert os.environ["PATH"] == path
+
+
+def test_missing_measurements_and_plans_that_ran_away_are_passed_over(logged, tmp_path, caplog):
+    with caplog.at_level(logging.WARNING), RerunView(TASK, Plant(), tmp_path, recording="loop.rrd") as view:
+        plan = Plan(np.nan)
+        view(0.0, np.zeros(2), np.zeros(3), np.full(3, np.nan), Command(np.zeros(3), plan), 1e-3)
+        view(0.02, np.zeros(2), np.zeros(3), np.zeros(3), Command(np.zeros(3)), 1e-3)
+    assert not caplog.messages
+    assert [len(strips(lines)) for lines in logged["scene/paths"][1:]] == [1, 1]
+    positions = np.array(logged["scene/points"][1].positions.as_arrow_array().to_pylist())
+    assert np.isfinite(positions).all() and len(positions) == 3
+
+
+def test_a_recording_that_cannot_be_completed_costs_no_record(rerun, monkeypatch, tmp_path, caplog):
+    def broken(self):
+        raise RuntimeError("disk full")
+
+    with caplog.at_level(logging.WARNING), RerunView(TASK, Plant(), tmp_path, recording="loop.rrd") as view:
+        assert len(run(view).time) == 51
+        monkeypatch.setattr(rerun.RecordingStream, "disconnect", broken)
+    assert len(caplog.messages) == 1 and "disk full" in caplog.messages[0]
