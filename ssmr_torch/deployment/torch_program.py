@@ -180,11 +180,14 @@ def save_onnx(program: ExportedProgram, path: Path, name: str) -> None:
 @contextmanager
 def _quiet():
     """Without what the exporters say of themselves."""
-    logger = logging.getLogger("torch.onnx._internal.exporter._registration")
-    level, _ = logger.level, logger.setLevel(logging.ERROR)
+    loggers = [logging.getLogger(name) for name in ("torch.onnx._internal.exporter._registration", "onnx_ir")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.ERROR)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        logger.setLevel(level)
+        for logger, level in zip(loggers, levels):
+            logger.setLevel(level)
