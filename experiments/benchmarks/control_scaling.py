@@ -80,8 +80,9 @@ def main(arguments: list[str] | None = None) -> None:
     for name in given.series:
         for size, result in series(name, given.laps, given.qp):
             median, p99 = np.percentile(result["cpu"], (50, 99))
+            clearance = f"{result['clearance']:>7.2f} mm" if np.isfinite(result["clearance"]) else ""
             print(f"{size:<12} {result['steps']:>6} {median:>8.3f} ms {p99:>8.3f} ms {result['failures']:>9} "
-                  f"{result['rmse']:>6.3f} mm {result['clearance']:>7.2f} mm", flush=True)
+                  f"{result['rmse']:>6.3f} mm {clearance}", flush=True)
 
 
 if __name__ == "__main__":
