@@ -85,6 +85,13 @@ def gradient(Y, error, weight, R, inputs, scale):
 
 
 @compiled
+def condensed(outputs, A, B, C, reference, inputs, scale, weight, R):
+    """`sensitivities`, `gauss_newton` and `gradient` at once: hessian, gradient, Y, Z."""
+    Y, Z = sensitivities(A, B, C, scale)
+    return gauss_newton(Y, weight, R), gradient(Y, outputs - reference, weight, R, inputs, scale), Y, Z
+
+
+@compiled
 def output_rows(Y, outputs, v, normals, offsets, length):
     """Rows C (N r, N m) and lower bounds (N r,) of normalᵀ (y + Y Δv) ≥ offset, in units of `length`, over v + Δv.
 

@@ -72,9 +72,8 @@ class Horizon(ABC):
         """The problem around these inputs with ŷ_1 … ŷ_N = reference (N, p)."""
         states, outputs, A, B, C = self._linearize(state, self._acting(inputs))
         outputs = self._seen(outputs)
-        Y, Z = condensing.sensitivities(A, B, C, self.problem.input_scale)
-        return Condensed(states, outputs, condensing.gauss_newton(Y, self._weight, self._R),
-                         self._gradient(Y, outputs, reference, inputs), Y, Z)
+        return Condensed(states, outputs, *condensing.condensed(outputs, A, B, C, reference, inputs,
+                                                                self.problem.input_scale, self._weight, self._R))
 
     def moved(self, point: Condensed, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
         """The same linearization seen from another measured state and reference: the feedback phase."""
