@@ -41,11 +41,13 @@ def main(config, directory):
                           progress=config.progress, provenance=origin | {"input_bounds": plant.input_bounds.tolist()})
     record.save(directory / "record.h5")
     draw_robot(plant, record, directory, config.animate)
-    metrics = closed_loop_metrics(record)
+    metrics = closed_loop_metrics(record, task.obstacles)
     save_json(directory / "metrics.json", metrics)
+    inside = "" if not task.obstacles else (f"inside an obstacle {100 * metrics['violation_ratio']:.3g} % of the time, "
+                                            f"by {1e3 * metrics['max_violation']:.3g} mm at most, ")
     print(f"{origin['model']}: RMSE {1e3 * metrics['rmse']:.3g} mm, max {1e3 * metrics['max_error']:.3g} mm, "
           f"ISE {1e6 * metrics['ise']:.4g} mm², solve {1e3 * metrics['solve_time_median']:.2g} ms "
-          f"(99 %: {1e3 * metrics['solve_time_p99']:.2g} ms), {metrics['fallbacks']:.0f} fallbacks\n"
+          f"(99 %: {1e3 * metrics['solve_time_p99']:.2g} ms), {inside}{metrics['fallbacks']:.0f} fallbacks\n"
           f"{directory / 'record.h5'}")
     save_result(directory, metrics)
     return metrics["ise"]

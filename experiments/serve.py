@@ -30,7 +30,8 @@ def main(config, directory):
     def save(end):
         name = "record.h5" if config.runs == 1 else f"record-{end.finished}.h5"
         record = record_of(end, task, origin)
-        results.append(closed_loop_metrics(record) | {f"wire/{what}": n for what, n in sorted(end.counts.items())})
+        counts = {f"wire/{what}": n for what, n in sorted(end.counts.items())}
+        results.append(closed_loop_metrics(record, task.obstacles) | counts)
         print(f"{origin['model']}: ISE {1e6 * results[-1]['ise']:.4g} mm², {dict(end.counts)}\n"
               f"{record.save(directory / name)}")
 

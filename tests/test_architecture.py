@@ -153,6 +153,6 @@ def test_only_one_file_of_a_deployment_imports_torch():
 
 
 def test_the_runner_and_both_ends_of_the_wire_need_only_numpy_safetensors_and_zmq():
-    assert not failure_without("torch", "lightning", "hydra", "omegaconf", "wandb", "matplotlib", "h5py", "tqdm", "scipy",
-                               "qpsolvers", code="import ssmr_torch.runner, ssmr_torch.wire.serving, "
+    assert not failure_without("torch", "lightning", "hydra", "omegaconf", "wandb", "matplotlib", "h5py", "tqdm",
+                               "scipy", "qpsolvers", code="import ssmr_torch.runner, ssmr_torch.wire.serving, "
                                                  "ssmr_torch.wire.link, ssmr_torch.wire.robot_end")

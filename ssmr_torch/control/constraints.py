@@ -18,7 +18,8 @@ class OutputConstraints:
     the `NEAREST` ones only; the penalty counts all of them.
 
     columns: the tracked outputs, in which the obstacles lie; obstacles: with `clearance(time, outputs)`, circles with
-    `centers(time)` and `radius`, half-planes with `normal` and `offset`, `center` callable where it moves; such as those of `tasks.obstacles`.
+    `centers(time)`, `center` (callable where it moves) and `radius`, half-planes with `normal` and `offset`, such as
+    those of `tasks.obstacles`.
     output_bounds: (2, p) m, ±inf where there is no bound, or None. margins: (N,) m, by which every constraint is
     tightened at its stage.
     Raises ValueError for crossed bounds or sizes that disagree.
@@ -49,8 +50,8 @@ class OutputConstraints:
         free = np.tile([[-np.inf], [np.inf]], self.output_dim)
         bounds = free if bounds is None else np.array(bounds, dtype=np.float64)
         if bounds.shape != free.shape or not (bounds[0] < bounds[1]).all():
-            raise ValueError(f"output_bounds are {bounds.tolist()}; expected (2, {self.output_dim}): lowest and highest "
-                             "output, m, lowest below highest, infinite where there is no bound")
+            raise ValueError(f"output_bounds are {bounds.tolist()}; expected (2, {self.output_dim}): lowest and "
+                             "highest output, m, lowest below highest, infinite where there is no bound")
         return bounds
 
     def _constant_rows(self, bounds: np.ndarray) -> None:

@@ -63,8 +63,9 @@ class DAQP:
         C = self._none
         if self.rows:
             self._upper[self.dim:], self._lower[self.dim:], C = problem.row_upper, problem.row_lower, problem.C
-        arguments = (problem.H, problem.g, C if self.rows or self._workspace is None else None, self._upper, self._lower,
-                     self._sense)
+        if not self.rows and self._workspace is not None:
+            C = None  # an update takes no empty matrix
+        arguments = (problem.H, problem.g, C, self._upper, self._lower, self._sense)
         if self._workspace is None:
             self._workspace = self._library.Model()
             self._workspace.settings = {"primal_tol": self.tolerance, "iter_limit": self.max_iterations}

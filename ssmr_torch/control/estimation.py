@@ -14,7 +14,7 @@ class Estimator(Protocol):
         """Forget all measurements."""
 
     def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
-        """observation (p,) m, not finite where a value is missing; last_input (m,): held since the measurement before."""
+        """observation (p,) m, not finite where a value is missing; last_input (m,): held since the one before."""
 
     def state(self) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
         """z (n,), not finite where it is not known; offsets of the input (m,) and of the output (p,), m, or None."""

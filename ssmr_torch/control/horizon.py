@@ -114,7 +114,7 @@ class CompiledHorizon(Horizon):
 
 
 class LinearHorizon(LinearizedHorizon):
-    """z⁺ = A z + B u + c, y = C z + d: all matrices over the horizon are made once, so that a step costs two products."""
+    """z⁺ = A z + B u + c, y = C z + d: all matrices over the horizon are made once; a step costs two products."""
 
     def __init__(self, model, problem: TrackingProblem):
         super().__init__(model, problem)

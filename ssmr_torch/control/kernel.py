@@ -165,7 +165,7 @@ def rollout(state, inputs, tables):
 
 @compiled
 def linearize(state, inputs, tables):
-    """States (N+1, n), outputs (N, p), A (N, n, n), B (N, n, m) of every step and C (N, p, n) of the output after it."""
+    """States (N+1, n), outputs (N, p), A (N, n, n), B (N, n, m) of every step, C (N, p, n) of the output after it."""
     N, m = inputs.shape
     n, p = len(state), tables.output.shape[0]
     states, outputs = np.empty((N + 1, n)), np.empty((N, p))

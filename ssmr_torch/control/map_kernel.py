@@ -51,7 +51,8 @@ def map_tables(model, repeats: int) -> MapTables:
     advance[:, 1:1 + n] += np.eye(n)
     rate_x = derivative_table(model.base_timestep * model.dynamics, joint)
     rate_x.reshape(n, n + model.input_dim, -1)[range(n), range(n), 0] += 1.0
-    return MapTables(*_parents(joint), *_parents(seen), advance, rate_x, np.insert(model.parametrization, 0, 0.0, axis=1),
+    output = np.insert(model.parametrization, 0, 0.0, axis=1)
+    return MapTables(*_parents(joint), *_parents(seen), advance, rate_x, output,
                      derivative_table(model.parametrization, seen), repeats)
 
 
@@ -132,7 +133,7 @@ def rollout_map(state, inputs, tables):
 
 @compiled
 def linearize_map(state, inputs, tables):
-    """States (N+1, n), outputs (N, p), A (N, n, n), B (N, n, m) of every step and C (N, p, n) of the output after it."""
+    """States (N+1, n), outputs (N, p), A (N, n, n), B (N, n, m) of every step, C (N, p, n) of the output after it."""
     N, m = inputs.shape
     n, p = len(state), tables.output.shape[0]
     states, outputs = np.empty((N + 1, n)), np.empty((N, p))

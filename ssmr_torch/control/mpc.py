@@ -17,7 +17,7 @@ from ssmr_torch.status import Status
 
 # A reference that differs by more than this from the one planned for is a new one, m.
 REFERENCE_CHANGE = 1e-6
-# A violation costs as much as tracking errors of this size at every stage pull, m: more than any error in the workspace.
+# A violation costs more than tracking errors of this size at every stage would, m: more than any in the workspace.
 PULL = 0.05
 
 
@@ -70,7 +70,8 @@ class ModelPredictiveController:
         self.iterations, self.first_iterations = int(iterations), int(first_iterations)
         self.tolerance, self.frozen_after = float(tolerance), int(frozen_after)
         self._largest_norm = float(range_factor) * float(np.linalg.norm(model.state_scale))
-        self._fine = model.at_timestep(self.timestep)
+        # a model in discrete time need not know steps as short as the measurements'
+        self._fine = model.at_timestep(self.timestep) if observer or self._age else None
         self.estimator = observer(self._fine, self.problem.input_scale) if observer else ChartEstimator(model, stride)
         self._warm_up()
 

@@ -38,7 +38,7 @@ class KalmanObserver:
                              f"measurement_noise {measurement_noise}; all must be positive")
         self.model, self.extended, self.disturbance = model, extended, disturbance
         self._range = np.asarray(input_range, dtype=np.float64)
-        n, m, p = model.state_dim, model.input_dim, model.output_dim
+        m, p = model.input_dim, model.output_dim
         window = np.zeros((model.delays + 1, p))
         self._rest = model.encode(window, np.zeros((model.delays, m)))
         A, B, _ = model.linearize(self._rest, np.zeros(m))
@@ -125,4 +125,5 @@ class KalmanObserver:
 
     def state(self) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
         z, d = self._x[:self.model.state_dim].copy(), self._x[self.model.state_dim:]
-        return z, self._E @ d if self.disturbance == "input" else None, d.copy() if self.disturbance == "output" else None
+        of_input, of_output = self.disturbance == "input", self.disturbance == "output"
+        return z, self._E @ d if of_input else None, d.copy() if of_output else None

@@ -101,7 +101,8 @@ class ProxQP:
             offset = problem.C @ shift
             row_lower = np.clip(problem.row_lower - offset, -INFINITY, INFINITY)
             row_upper = np.clip(problem.row_upper - offset, -INFINITY, INFINITY)
-        arguments = (problem.H, problem.g + problem.H @ shift, None, None, problem.C, row_lower, row_upper, lower, upper)
+        arguments = (problem.H, problem.g + problem.H @ shift, None, None, problem.C, row_lower, row_upper, lower,
+                     upper)
         if self._fresh:
             self._workspace.init(*arguments)
             self._fresh = False

@@ -116,7 +116,8 @@ def _quadratic_program(problem: TrackingProblem, point: Condensed, inputs: np.nd
     normals, offsets = constraints.rows(times, point.outputs)
     rows, lowest = output_rows(point.sensitivity, point.outputs, v, normals, offsets, SLACK_SCALE)
     size, count = problem.size
-    H, C, row_lower, row_upper = np.zeros((size, size)), np.zeros((count, size)), np.empty(count), np.full(count, np.inf)
+    H, C = np.zeros((size, size)), np.zeros((count, size))
+    row_lower, row_upper = np.empty(count), np.full(count, np.inf)
     H[:d, :d] = point.hessian
     H.flat[d * (size + 1)::size + 1] = 2.0 * constraints.quadratic * SLACK_SCALE**2 / problem.cost_scale
     g = np.concatenate([gradient, np.full(soft, constraints.linear * SLACK_SCALE / problem.cost_scale)])

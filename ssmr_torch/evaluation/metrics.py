@@ -134,14 +134,20 @@ def solve_times(seconds: np.ndarray, period: float) -> SolveTimes:
                       float((seconds > period).mean()))
 
 
-def closed_loop_metrics(record) -> dict[str, float]:
-    """ISE (m²), RMSE and largest error (m), solve times (s), and fallbacks of a `ClosedLoopRecord`."""
+def closed_loop_metrics(record, obstacles=()) -> dict[str, float]:
+    """ISE (m²), RMSE and largest error (m), solve times (s), and fallbacks of a `ClosedLoopRecord`; with obstacles
+    (`clearance(time, tracked outputs)`) the share of samples inside one, and the depth (m) of the deepest.
+    """
     position = record.observation[:, list(record.tracked)]
     arguments = (record.time, position, record.reference)
     times = solve_times(record.solve_time[np.isfinite(record.solve_time)], record.provenance["period"])
-    return {"ise": integral_squared_error(*arguments), "rmse": tracking_rmse(*arguments),
-            "max_error": max_tracking_error(*arguments), "solve_time_median": times.median,
-            "solve_time_p99": times.p99, "fallbacks": float(record.fallback.sum())}
+    found = {"ise": integral_squared_error(*arguments), "rmse": tracking_rmse(*arguments),
+             "max_error": max_tracking_error(*arguments), "solve_time_median": times.median,
+             "solve_time_p99": times.p99, "fallbacks": float(record.fallback.sum())}
+    if obstacles:
+        depth = -np.min([obstacle.clearance(record.time, position) for obstacle in obstacles], axis=0)
+        found |= {"violation_ratio": float((depth > 0).mean()), "max_violation": float(max(depth.max(), 0.0))}
+    return found
 
 
 def _same_shape(first: np.ndarray, second: np.ndarray, lowest_rank: int) -> tuple[np.ndarray, np.ndarray]:

@@ -110,7 +110,8 @@ def test_the_robot_goes_around_obstacles_that_stand_and_that_move(bench, qp):
         pytest.importorskip("daqp", reason="needs pip install 'ssmr_torch[daqp]'")
     if qp == "qpsolvers:quadprog":
         pytest.importorskip("quadprog", reason="needs pip install quadprog")
-    obstacles = (*random_circles(1), Circle(drifting((0.02, -0.02), (-0.01, 0.01)), 0.004), HalfPlane((0.0, 1.0), 0.012))
+    moving = Circle(drifting((0.02, -0.02), (-0.01, 0.01)), 0.004)
+    obstacles = (*random_circles(1), moving, HalfPlane((0.0, 1.0), 0.012))
     task = replace(figure_eight(laps=1.0), obstacles=obstacles)
     plant = bench.TablesPlant(bench.oscillators())
     controller = ModelPredictiveController(plant.model, task, bench.BOUNDS, horizon=5, qp=qp)
@@ -135,7 +136,8 @@ def test_margins_keep_the_robot_that_much_further_away(bench):
 
 @pytest.mark.parametrize(("options", "message"), [
     ({"margins": [0.0]}, "expected 6 lengths"), ({"margins": np.full(N, -1.0)}, "none negative"),
-    ({"output_bounds": np.zeros((2, 6))}, "lowest below highest"), ({"output_bounds": np.ones(6)}, "expected \\(2, 6\\)"),
+    ({"output_bounds": np.zeros((2, 6))}, "lowest below highest"),
+    ({"output_bounds": np.ones(6)}, "expected \\(2, 6\\)"),
     ({"linear": 0.0}, "positive weights")])
 def test_constraints_without_meaning_are_refused(options, message):
     with pytest.raises(ValueError, match=message):

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from ssmr_torch.closed_loop import simulate
-from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.control.any_qp import QPSolvers
+from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.control.proxqp import ProxQP
 from ssmr_torch.control.qp import QPSolution
+from ssmr_torch.models.koopman_tables import KoopmanTables
 from ssmr_torch.status import Status
 from ssmr_torch.tasks.references import Task, figure_eight
 
@@ -150,6 +151,19 @@ def test_the_window_holds_the_samples_and_inputs_at_the_spacing_of_the_model(ben
     np.testing.assert_allclose(window[:, 0], [4e-4, 6e-4, 8e-4])
     np.testing.assert_array_equal(inputs, [commands[4].input, commands[6].input])
     np.testing.assert_array_equal(recorder.windows[0][0], np.zeros((3, 6)))
+
+
+def test_a_model_that_steps_by_two_samples_is_controlled_all_the_same(bench):
+    A, B, _ = bench.oscillators(0, 1, 0).at_timestep(0.02).linearize(np.zeros(6), np.zeros(4))
+    model = KoopmanTables(scale=np.ones(6), A=A, B=B, N=np.zeros((0, 6, 6)), pregain=np.zeros((0, 7)),
+                          set_points=np.zeros((0, 7)), degree=1, input_delays=0, constant=False,
+                          state_scale=np.full(6, 0.04), input_dim=4, output_dim=6, delays=0, timestep=0.02,
+                          window_timestep=0.01, base_timestep=0.02)
+    task = figure_eight(amplitude=0.008, laps=1.0)
+    record = simulate(bench.TablesPlant(bench.oscillators(0, 1, 0)), controller_of(bench, task, model), task)
+    assert np.abs(record.error).max() < 0.001 and not record.fallback.any()
+    with pytest.raises(ValueError, match="0.01 s is 0.5 steps"):
+        controller_of(bench, task, model, measurement_delay=0.01)
 
 
 def test_periods_that_do_not_fit_are_refused_with_both_numbers(bench):

@@ -158,10 +158,9 @@ def test_measurements_that_are_known_to_be_late_are_brought_up_to_date_by_the_mo
 def test_a_frozen_sensor_is_noticed_counted_and_forgiven(bench):
     model, task = bench.oscillators(), figure_eight(laps=1.0)
     controller, plant = ModelPredictiveController(model, task, bench.BOUNDS), bench.TablesPlant(bench.oscillators())
-    observation, commands = plant.reset(), []
+    observation, commands, seen = plant.reset(), [], None
     for k in range(120):
-        seen = frozen if 60 <= k < 80 else observation
-        frozen = seen
+        seen = seen if 60 <= k < 80 else observation
         commands.append(controller(0.01 * k, seen))
         observation = plant.step(commands[-1].input)
     found = [k for k, command in enumerate(commands) if command.fallback is Status.FROZEN_SENSOR]
