@@ -24,7 +24,8 @@ class QuadraticProgram:
 
     H (d, d) symmetric, g, lower, upper (d,), C (r, d), row_lower, row_upper (r,); infinite bounds are absent
     ones. Without rows C is None. convex: H is known to be positive definite, and not factored to find out.
-    Raises ValueError when shapes disagree. The numbers themselves are judged by `defect`, because a controller must get an answer, not an exception, for what it measured.
+    Raises ValueError when shapes disagree. The numbers themselves are judged by `defect`, because a controller must
+    get an answer, not an exception, for what it measured.
     """
 
     H: np.ndarray
