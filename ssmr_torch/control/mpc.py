@@ -19,6 +19,8 @@ from ssmr_torch.status import Status
 REFERENCE_CHANGE = 1e-6
 # A violation costs more than tracking errors of this size at every stage would, m: more than any in the workspace.
 PULL = 0.05
+# Share of an input's range by which it must have changed for a measurement to have to change.
+MOVED = 0.05
 
 
 class ModelPredictiveController:
@@ -114,7 +116,7 @@ class ModelPredictiveController:
         self._last_input = self.safe_input
         self._plan: Plan | None = None
         self._planned_now, self._prepared = False, None
-        self._seen, self._repeats, self._moved = None, 0, False
+        self._seen, self._repeats, self._input_then = None, 0, self.safe_input
         self._sample = 0
         self.fallbacks: Counter[Status] = Counter()
         self.solver.reset()
@@ -131,9 +133,6 @@ class ModelPredictiveController:
             self.estimator.measure(observation, self._applied[0])
             due = self._sample % self._samples_per_step == 0
             command = self._decide(time) if due else Command(self._last_input.copy(), held=True)
-        if due:
-            self._moved = self._moved or (np.abs(command.input - self._last_input)
-                                          > 1e-2 * self.problem.input_scale).any()
         self._last_input = command.input.copy()
         self._applied.append(self._last_input)
         self._sample += 1
@@ -142,8 +141,9 @@ class ModelPredictiveController:
     def prepare(self) -> None:
         """Linearize and condense around the plan for the next step; to be called when the input has been sent."""
         self._prepared = None
-        if self._plan is None or not self._planned_now or self._sample % self._samples_per_step:
-            return
+        disturbed = self.horizon.input_offset is not None or self.horizon.output_offset is not None
+        if disturbed or self._plan is None or not self._planned_now or self._sample % self._samples_per_step:
+            return  # an estimated disturbance moves with the next measurement, and the linearization with it
         time, guess = self._plan.time + self.period, self._plan.shifted()
         reference = self.problem.reference_ahead(time)
         guess = self.problem.admissible(guess, self._last_input)
@@ -151,15 +151,17 @@ class ModelPredictiveController:
             self._prepared = time, self.horizon.condense(self._plan.states[1], guess, reference)
 
     def _watch_sensor(self, observation: np.ndarray) -> None:
-        """Count equal measurements in a row since the input last stood still."""
+        """Count equal measurements in a row, and remember the input at the first of them."""
         if self._seen is None or not np.array_equal(observation, self._seen):
-            self._seen, self._repeats, self._moved = observation, 0, False
+            self._seen, self._repeats, self._input_then = observation, 0, self._last_input
         else:
             self._repeats += 1
 
     @property
     def _frozen(self) -> bool:
-        return 0 < self.frozen_after <= self._repeats and self._moved
+        if not 0 < self.frozen_after <= self._repeats:
+            return False
+        return bool((np.abs(self._last_input - self._input_then) > MOVED * self.problem.input_scale).any())
 
     def _decide(self, time: float) -> Command:
         state, self.horizon.input_offset, self.horizon.output_offset = self.estimator.state()
