@@ -99,6 +99,8 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
         inputs, states, outputs, cost = found
     if max_iterations == 1 and status is Status.ITERATION_LIMIT:
         status = Status.SOLVED
+    if len(states) <= len(inputs):  # a linear model's condensed problem holds the first state alone
+        states, outputs = horizon.rollout(state, inputs)
     return _plan(time, states, inputs, outputs, reference, cost, status, solution, iterations, start)
 
 

@@ -114,6 +114,15 @@ def test_the_cost_is_that_of_the_rollout_under_the_planned_inputs(bench):
         assert plan.cost == problem.cost(outputs, plan.inputs, problem.reference_ahead(0.0))
 
 
+@pytest.mark.parametrize("degrees", [(1, 0), (3, 1)])
+def test_a_plan_that_was_right_from_the_start_holds_all_states(bench, degrees):
+    problem = problem_of(bench, reference=lambda time: np.zeros((len(time), 6)))
+    horizon = horizon_for(bench.oscillators(0, *degrees), problem)
+    plan = solve_scp(problem, horizon, np.zeros(6), np.zeros((N, 4)), solver_of(problem))
+    assert plan.status is Status.SOLVED and plan.iterations == 1 and plan.states.shape == (N + 1, 6)
+    np.testing.assert_array_equal(plan.states, horizon.rollout(np.zeros(6), plan.inputs)[0])
+
+
 def test_the_shifted_plan_is_the_plan_later_on(bench):
     plan = solved(bench, problem_of(bench))[2]
     np.testing.assert_array_equal(plan.shifted()[:-1], plan.inputs[1:])
