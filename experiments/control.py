@@ -15,14 +15,16 @@ from ssmr_torch.provenance import provenance
 from ssmr_torch.trajectory import TrajectoryDataset
 
 
-def margins(config, model, task) -> dict:
+def margins(config, loaded, task) -> dict:
     """What the model missed on the held-out runs of config.residuals, or on all where none is marked test."""
     if config.residuals is None:
         return {}
-    runs = TrajectoryDataset.load(config.residuals).select(kind="controlled")
-    held_out = [run for run in runs if run.split == "test"] or list(runs)
-    found = prediction_margins(model, held_out, task.columns(runs.output_names), horizon=config.controller.horizon,
-                               period=config.controller.period, quantile=config.quantile)
+    dataset = TrajectoryDataset.load(config.residuals).observing(loaded.card["output_names"])
+    runs = dataset.select(kind="controlled")
+    held_out = [run.read() for run in [run for run in runs if run.split == "test"] or runs]
+    found = prediction_margins(loaded.model, held_out, task.columns(dataset.output_names),
+                               horizon=config.controller.horizon, period=config.controller.period,
+                               quantile=config.quantile)
     print("margins: " + ", ".join(f"{1e3 * margin:.3g}" for margin in found) + " mm")
     return {"margins": found}
 
@@ -33,7 +35,7 @@ def main(config, directory):
     plant = instantiate(config.rig)(instantiate(config.plant))
     artifact.check_source(loaded, plant)
     controller = instantiate(config.controller)(loaded.model, task, plant.input_bounds, timestep=plant.timestep,
-                                                output_names=plant.output_names, **margins(config, loaded.model, task))
+                                                output_names=plant.output_names, **margins(config, loaded, task))
     origin = provenance(OmegaConf.to_container(config, resolve=True)) | {"model": loaded.card["name"],
                                                                          "artifact": loaded.card["sha256"]}
     with instantiate(config.view)(task, plant, directory) if config.view else nullcontext() as watch:

@@ -116,6 +116,19 @@ def test_the_controller_tracks_the_figure_eight_on_the_plant_with_the_exported_a
 
 
 @pytest.mark.slow
+def test_the_trunk_goes_around_obstacles_with_an_observer_margins_and_another_solver(trunk_line):
+    pytest.importorskip("daqp", reason="needs pip install 'ssmr_torch[daqp]'")
+    at, _ = trunk_line
+    text = run("control", *TRUNK, "artifact=artifact", "controller=scp_trunk", "task=stanford_obstacles", "qp=daqp",
+               "task.duration=4.0", "task.half_size=0.008", "progress=false",
+               "observer@controller.observer=output_disturbance", "residuals=collect/trajectories.h5",
+               "quantile=0.5", "hydra.run.dir=obstacles", cwd=at)
+    metrics = json.loads((at / "obstacles" / "metrics.json").read_text())
+    assert "margins: " in text and metrics["max_violation"] < 1e-3 and metrics["fallbacks"] == 0
+    assert 0 <= metrics["violation_ratio"] < 0.2 and metrics["rmse"] < 3e-3
+
+
+@pytest.mark.slow
 def test_a_sweep_ends_with_a_table_of_its_jobs_best_first(line):
     with open(line / "train" / "sweep.csv", newline="") as file:
         rows = list(csv.DictReader(file))

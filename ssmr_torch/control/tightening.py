@@ -38,6 +38,8 @@ def _errors(model, run, columns, spacing, step, horizon, stride) -> np.ndarray:
     """(starts, N): ‖ŷ_k − y_k‖ of the rollouts from every stride-th sample."""
     observation, inputs = np.asarray(run.observation), np.asarray(run.input)
     starts = np.arange(model.delays * spacing, len(observation) - horizon * step, stride)
+    if not len(starts):
+        return np.empty((0, horizon))
     back = starts[:, None] + spacing * np.arange(-model.delays, 1)
     ahead = starts[:, None] + np.arange(horizon * step)
     with np.errstate(over="ignore", invalid="ignore"):
