@@ -98,9 +98,10 @@ class GaussNewtonFit(ModelFit):
                  samples: int = 10, trained: Sequence[str] = GROUPS, damping: float = 1e-2, tolerance: float = 0.01,
                  margin: float = 0.05, reach: float = 3.0, overdrive: float = 1.25):
         super().__init__(model)
-        if epochs < 1 or starts < 1 or samples < 1 or not (horizon > 0 and damping > 0 and tolerance >= 0):
+        if epochs < 0 or starts < 1 or samples < 1 or not (horizon > 0 and damping > 0 and tolerance >= 0):
             raise ValueError(f"epochs {epochs}, starts {starts}, samples {samples}, horizon {horizon} s, damping "
-                             f"{damping} and tolerance {tolerance}; all must be positive")
+                             f"{damping} and tolerance {tolerance}; all must be positive, epochs may be 0, which "
+                             "leaves the fit out")
         size = sum(table.numel() for table in coefficients(model, trained))
         if size > LARGEST:
             raise ValueError(f"{size} coefficients are trained, more than the {LARGEST} of which a Gauss-Newton step "

@@ -26,7 +26,7 @@ sys.path.insert(0, {here!r})
 from fragile_plants import FragilePlant, small
 
 if __name__ == "__main__":
-    small(FragilePlant({log!r}, delay=0.03), workers={workers}, directory={directory!r})
+    small(FragilePlant({log!r}, delay={delay}), workers={workers}, directory={directory!r})
 """
 
 
@@ -107,7 +107,9 @@ def test_the_work_is_done_by_others_with_one_thread_each(plants, small, tmp_path
 def test_an_interrupted_collection_leaves_no_process_and_goes_on_where_it_stopped(plant, small, tmp_path, workers,
                                                                                   blow):
     script, directory = tmp_path / "script.py", tmp_path / "directory"
-    script.write_text(SCRIPT.format(here=str(HERE), log=str(plant.log), workers=workers, directory=str(directory)))
+    # long enough for a second Ctrl-C where the first one fell into a destructor
+    script.write_text(SCRIPT.format(here=str(HERE), log=str(plant.log), workers=workers, directory=str(directory),
+                                    delay=0.12 if blow == signal.SIGINT else 0.03))
     with subprocess.Popen([sys.executable, script], start_new_session=True, stderr=subprocess.PIPE) as started:
         until(lambda: parts(directory) or started.poll() is not None)
         if blow == signal.SIGINT:

@@ -102,7 +102,7 @@ def test_an_unstable_start_is_made_to_hold_first(known, tmp_path):
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"epochs": 0}, "epochs 0, starts 400"), ({"horizon": 0.0}, "horizon 0.0 s"),
+    ({"epochs": -1}, "epochs -1, starts 400"), ({"horizon": 0.0}, "horizon 0.0 s"),
     ({"trained": ["everything"]}, "expected some of")])
 def test_impossible_settings_are_refused(options, message):
     with pytest.raises(ValueError, match=message):

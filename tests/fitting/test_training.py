@@ -272,6 +272,12 @@ def test_a_gradient_fit_recovers_the_predictions_that_a_perturbation_spoiled(dat
     torch.testing.assert_close(model.parametrization, parametrization, rtol=0, atol=0)
 
 
+def test_a_refinement_of_no_epochs_is_left_out(dataset, whole, tmp_path):
+    result = fitted(dataset, tmp_path, fits=CLOSED_FORM | {"refinement": partial(GradientFit, epochs=0)})
+    assert set(result.report) == {"closed_form"}
+    assert_same_model(result.model, whole.model)
+
+
 def test_a_refinement_follows_the_closed_form_and_keeps_its_best_epoch(dataset, whole, tmp_path):
     result = fitted(dataset, tmp_path, fits=CLOSED_FORM | {"refinement": partial(GradientFit, epochs=2)})
     assert set(result.report) == {"closed_form", "refinement"}
