@@ -27,11 +27,11 @@ class KalmanObserver:
     """
 
     def __init__(self, model, input_range, *, disturbance: str = "output", extended: bool = False,
-                 process_noise: float = 1e-2, disturbance_noise: float | None = None,
+                 process_noise: float = 1e-3, disturbance_noise: float | None = None,
                  measurement_noise: float = 5e-5):
         if disturbance not in DISTURBANCES:
             raise ValueError(f"disturbance is {disturbance!r}; expected one of {DISTURBANCES}")
-        disturbance_noise = {"none": 1.0, "output": 5e-5, "input": 5e-3}[disturbance] if disturbance_noise is None \
+        disturbance_noise = {"none": 1.0, "output": 2e-4, "input": 5e-3}[disturbance] if disturbance_noise is None \
             else disturbance_noise
         if not (process_noise > 0 and disturbance_noise > 0 and measurement_noise > 0):
             raise ValueError(f"process_noise {process_noise}, disturbance_noise {disturbance_noise} and "
