@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ssmr_torch.control.base import whole_steps
+from ssmr_torch.control.estimation import ChartEstimator
+
+# A state whose norm exceeds that of the training range by this factor is not believed: the filter starts anew.
+RANGE_FACTOR = 3.0
 DISTURBANCES = ("none", "output", "input")
 
 
@@ -22,7 +27,8 @@ class KalmanObserver:
 
     model: NumPy tables at the timestep of the measurements. input_range (m,). A value that is missing, not finite, is
     left out of the update (extended), or the whole measurement is (stationary); `missing` counts measurements that were
-    not whole.
+    not whole. A state that is not finite, or far outside of the training range, would poison all that follow: the
+    filter then starts anew from the chart of the last samples, without a disturbance, and counts it in `restarts`.
     Raises ValueError for another disturbance or noise that is not positive, ImportError without SciPy.
     """
 
@@ -37,6 +43,9 @@ class KalmanObserver:
             raise ValueError(f"process_noise {process_noise}, disturbance_noise {disturbance_noise} and "
                              f"measurement_noise {measurement_noise}; all must be positive")
         self.model, self.extended, self.disturbance = model, extended, disturbance
+        self._chart = ChartEstimator(model, whole_steps("the model's window_timestep", model.window_timestep,
+                                                        model.timestep))
+        self._largest = RANGE_FACTOR * float(np.linalg.norm(model.state_scale))
         self._range = np.asarray(input_range, dtype=np.float64)
         m, p = model.input_dim, model.output_dim
         window = np.zeros((model.delays + 1, p))
@@ -80,7 +89,8 @@ class KalmanObserver:
         return np.linalg.solve(H @ P @ H.T + self._measurement, H @ P).T
 
     def reset(self) -> None:
-        self.missing, self._begun = 0, False
+        self.missing, self.restarts, self._begun = 0, 0, False
+        self._chart.reset()
 
     def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
         n, whole = self.model.state_dim, np.isfinite(observation)
@@ -88,6 +98,15 @@ class KalmanObserver:
         if not self._begun:
             self._begin(observation, last_input)
             return
+        self._chart.measure(observation, last_input)
+        self._predict(observation, last_input)
+        self._update(observation, whole)
+        norm = np.linalg.norm(self._x[:n])
+        if not (np.isfinite(self._x).all() and norm <= self._largest):
+            self._restart()
+
+    def _predict(self, observation: np.ndarray, last_input: np.ndarray) -> None:
+        n = self.model.state_dim
         z, d = self._x[:n], self._x[n:]
         u = last_input + self._E @ d
         if self.extended:
@@ -97,11 +116,17 @@ class KalmanObserver:
             self._P = G @ self._P @ G.T + self._process
         else:
             self._x = np.concatenate([self.model.step(z, u), d])
-        self._update(observation, whole)
+
+    def _restart(self) -> None:
+        z, _, _ = self._chart.state()
+        if np.isfinite(z).all() and np.linalg.norm(z) <= self._largest:
+            self._x, self._P = np.concatenate([z, np.zeros(self._E.shape[1])]), self._start.copy()
+            self.restarts += 1
 
     def _begin(self, observation: np.ndarray, last_input: np.ndarray) -> None:
         """The robot is taken to have rested where it is; missing values as at rest."""
         start = np.where(np.isfinite(observation), observation, 0.0)
+        self._chart.measure(start, last_input)
         z = self.model.encode(np.tile(start, (self.model.delays + 1, 1)), np.tile(last_input, (self.model.delays, 1)))
         self._x, self._P = np.concatenate([z, np.zeros(self._E.shape[1])]), self._start.copy()
         self._begun = True

@@ -197,6 +197,22 @@ def test_a_prepared_step_costs_what_an_unprepared_one_does(bench):
     assert costs[1] == pytest.approx(costs[0], rel=0.02)
 
 
+@pytest.mark.parametrize("extended", [False, True])
+@pytest.mark.parametrize("spoilt", [1e3, 1e30])
+def test_a_filter_that_was_led_astray_starts_anew_from_the_chart(bench, extended, spoilt):
+    model = bench.oscillators()
+    observer, z = KalmanObserver(model, np.full(4, 0.6), extended=extended), np.zeros(6)
+    for k in range(120):
+        u = np.array([0.2, 0.0, 0.1, 0.0])
+        with np.errstate(all="ignore"):
+            observer.measure(np.full(6, spoilt) if 50 <= k < 53 else z, u)
+        found, _, _ = observer.state()
+        z = model.step(z, u)
+    assert observer.restarts >= 1 and np.abs(found - model.encode(z[None], u[None][:0])).max() < 2e-3
+    observer.reset()
+    assert observer.restarts == 0
+
+
 @pytest.mark.parametrize(("options", "message"), [
     ({"disturbance": "state"}, "expected one of"), ({"process_noise": 0.0}, "all must be positive")])
 def test_observers_without_meaning_are_refused(bench, options, message):
