@@ -66,7 +66,7 @@ def _widened(table: np.ndarray, columns: int) -> np.ndarray:
 
 
 @compiled
-def _product(table, powers, out):
+def table_product(table, powers, out):
     """out = table · powers, for as many powers as the table has columns."""
     for i in range(table.shape[0]):
         total = 0.0
@@ -108,15 +108,15 @@ def _stage(W, tables, rate, rate_z, powers, K):
     n, columns = W.shape
     _powers(W[:, 0], tables, powers)
     k = np.empty(n)
-    _product(rate, powers, k)
+    table_product(rate, powers, k)
     for i in range(n):
         K[i, 0] = k[i]
     if columns == 1:
         return
     m = columns - 1 - n
     F, G = np.empty(n * n), np.empty(n * m)
-    _product(rate_z, powers, F)
-    _product(tables.field, powers, G)
+    table_product(rate_z, powers, F)
+    table_product(tables.field, powers, G)
     for i in range(n):
         for j in range(n):
             K[i, 1 + j] = 0.0
@@ -159,7 +159,7 @@ def rollout(state, inputs, tables):
         _step(W, inputs[k], tables, rate, rate_z, powers)
         states[k + 1] = W[:, 0]
         _powers(states[k + 1], tables, powers)
-        _product(tables.output, powers, outputs[k])
+        table_product(tables.output, powers, outputs[k])
     return states, outputs
 
 
@@ -180,6 +180,6 @@ def linearize(state, inputs, tables):
         _step(W, inputs[k], tables, rate, rate_z, powers)
         states[k + 1], A[k], B[k] = W[:, 0], W[:, 1:1 + n], W[:, 1 + n:]
         _powers(states[k + 1], tables, powers)
-        _product(tables.output, powers, outputs[k])
-        _product(tables.output_z, powers, C[k].reshape(-1))
+        table_product(tables.output, powers, outputs[k])
+        table_product(tables.output_z, powers, C[k].reshape(-1))
     return states, outputs, A, B, C

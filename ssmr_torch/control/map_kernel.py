@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ssmr_torch.control.condensing import compiled
-from ssmr_torch.control.kernel import derivative_table
+from ssmr_torch.control.kernel import derivative_table, table_product
 
 
 class MapTables(NamedTuple):
@@ -82,15 +82,6 @@ def _powers(x, parent, variable, out):
 
 
 @compiled
-def _product(table, powers, out):
-    for i in range(table.shape[0]):
-        total = 0.0
-        for q in range(table.shape[1]):
-            total += table[i, q] * powers[q]
-        out[i] = total
-
-
-@compiled
 def _chain(J, A, B, n, m, first):
     """A ← J_z A,  B ← J_z B + J_u, of one application more; J (n (n + m),) of this one."""
     J = J.reshape(n, n + m)
@@ -124,10 +115,10 @@ def rollout_map(state, inputs, tables):
         x[n:] = inputs[k]
         for _ in range(tables.repeats):
             _powers(x, tables.parent, tables.variable, powers)
-            _product(tables.advance, powers, x[:n])
+            table_product(tables.advance, powers, x[:n])
         states[k + 1] = x[:n]
         _powers(x[:n], tables.output_parent, tables.output_variable, seen)
-        _product(tables.output, seen, outputs[k])
+        table_product(tables.output, seen, outputs[k])
     return states, outputs
 
 
@@ -146,13 +137,13 @@ def linearize_map(state, inputs, tables):
         x[n:] = inputs[k]
         for repeat in range(tables.repeats):
             _powers(x, tables.parent, tables.variable, powers)
-            _product(tables.advance_x, powers, J)
+            table_product(tables.advance_x, powers, J)
             _chain(J, A[k], B[k], n, m, repeat == 0)
-            _product(tables.advance, powers, x[:n])
+            table_product(tables.advance, powers, x[:n])
         states[k + 1] = x[:n]
         _powers(x[:n], tables.output_parent, tables.output_variable, seen)
-        _product(tables.output, seen, outputs[k])
-        _product(tables.output_z, seen, C[k].reshape(-1))
+        table_product(tables.output, seen, outputs[k])
+        table_product(tables.output_z, seen, C[k].reshape(-1))
     return states, outputs, A, B, C
 
 
@@ -193,7 +184,7 @@ def linearize_bilinear(state, inputs, tables):
                     following[i] += tables.B[i, j] * inputs[k, j]
             z = following
         states[k + 1], C[k] = z, tables.C
-        _product(tables.C, z, outputs[k])
+        table_product(tables.C, z, outputs[k])
     return states, outputs, A, B, C
 
 
@@ -218,5 +209,5 @@ def rollout_bilinear(state, inputs, tables):
                     following[i] += tables.B[i, j] * inputs[k, j]
             z = following
         states[k + 1] = z
-        _product(tables.C, z, outputs[k])
+        table_product(tables.C, z, outputs[k])
     return states, outputs
