@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import qpsolvers
 
-from ssmr_torch.control import kkt
 from ssmr_torch.control.qp import QPSolution, QuadraticProgram
 from ssmr_torch.status import Status
 
@@ -45,6 +44,4 @@ class QPSolvers:
         if G is not None:
             rows[upper] += found.z[:upper.sum()]
             rows[lower] -= found.z[upper.sum():]
-        box = np.array(found.z_box, dtype=np.float64)
-        kkt.drop_absent(box, problem.lower, problem.upper)
-        return QPSolution.judged(problem, found.x, box, rows, Status.SOLVED, 0, self.tolerance)
+        return QPSolution.judged(problem, found.x, found.z_box, rows, Status.SOLVED, 0, self.tolerance)

@@ -6,14 +6,14 @@ import importlib
 
 import numpy as np
 
-from ssmr_torch.control.qp import QPSolution, QuadraticProgram
+from ssmr_torch.control.qp import QPSolution, QuadraticProgram, Workspace
 from ssmr_torch.status import Status
 
 EXIT_FLAGS = {1: Status.SOLVED, 2: Status.CLOSEST_FEASIBLE, -1: Status.PRIMAL_INFEASIBLE, -3: Status.DUAL_INFEASIBLE,
               -4: Status.ITERATION_LIMIT, -5: Status.DUAL_INFEASIBLE}
 
 
-class DAQP:
+class DAQP(Workspace):
     """DAQP [Arnström, Bemporad, Axehill, IEEE TAC 2022] with one workspace for problems of one size.
 
     dim d variables, `rows` general rows. tolerance: absolute, on the primal residual. It beats ProxQP up to about 80
@@ -26,29 +26,16 @@ class DAQP:
             self._library = importlib.import_module("daqp")
         except ImportError as error:
             raise ImportError("qp=daqp needs the package daqp: pip install 'ssmr_torch[daqp]'") from error
-        if dim < 1 or rows < 0:
-            raise ValueError(f"a problem of {dim} variables and {rows} rows; expected at least 1 and 0")
-        if not tolerance > 0 or max_iterations < 1:
-            raise ValueError(f"tolerance {tolerance} and max_iterations {max_iterations} must be positive")
-        self.dim, self.rows = int(dim), int(rows)
-        self.tolerance, self.max_iterations = float(tolerance), int(max_iterations)
+        super().__init__(dim, rows, tolerance, max_iterations)
         self._sense = np.zeros(self.dim + self.rows, dtype=np.int32)
         self._upper, self._lower = np.empty(self.dim + self.rows), np.empty(self.dim + self.rows)
         self._none = np.zeros((0, self.dim))
         self.reset()
 
     def reset(self) -> None:
-        """Forget the workspace."""
         self._workspace = None
 
-    def solve(self, problem: QuadraticProgram) -> QPSolution:
-        """Never raises for the numbers in the problem; ValueError for a problem of another size."""
-        if (problem.dim, problem.rows) != (self.dim, self.rows):
-            raise ValueError(f"a problem of {problem.dim} variables and {problem.rows} rows; "
-                             f"this workspace holds {self.dim} and {self.rows}")
-        defect = problem.defect()
-        if defect is not None:
-            return QPSolution.none(problem, defect)
+    def _solve(self, problem: QuadraticProgram) -> QPSolution:
         x, _, flag, info = self._loaded(problem).solve()
         status = EXIT_FLAGS.get(flag, Status.ITERATION_LIMIT)
         if flag < 0:

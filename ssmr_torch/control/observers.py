@@ -49,9 +49,9 @@ class KalmanObserver:
         self._range = np.asarray(input_range, dtype=np.float64)
         m, p = model.input_dim, model.output_dim
         window = np.zeros((model.delays + 1, p))
-        self._rest = model.encode(window, np.zeros((model.delays, m)))
-        A, B, _ = model.linearize(self._rest, np.zeros(m))
-        C, _ = model.linearize_output(self._rest)
+        rest = model.encode(window, np.zeros((model.delays, m)))
+        A, B, _ = model.linearize(rest, np.zeros(m))
+        C, _ = model.linearize_output(rest)
         self._E, self._F = self._channels(A, B, C)
         q = self._E.shape[1]
         scale = np.where(np.isfinite(model.state_scale) & (model.state_scale > 0), model.state_scale, 1.0)
@@ -75,16 +75,17 @@ class KalmanObserver:
         q = int((sizes > 1e-3 * sizes[0]).sum())
         return self._range[:, None] * directions[:q].T, np.zeros((p, q))
 
-    def _augmented(self, A, B, C) -> tuple[np.ndarray, np.ndarray]:
-        n, q = len(A), self._E.shape[1]
-        G = np.eye(n + q)
+    def _transition(self, A: np.ndarray, B: np.ndarray) -> np.ndarray:
+        """∂(z⁺, d⁺)/∂(z, d)."""
+        n = len(A)
+        G = np.eye(n + self._E.shape[1])
         G[:n, :n], G[:n, n:] = A, B @ self._E
-        return G, np.hstack([C, self._F])
+        return G
 
     def _stationary_gain(self, A, B, C) -> np.ndarray:
         from scipy.linalg import solve_discrete_are  # not on a robot that runs without an observer
 
-        G, H = self._augmented(A, B, C)
+        G, H = self._transition(A, B), np.hstack([C, self._F])
         P = solve_discrete_are(G.T, H.T, self._process, self._measurement)
         return np.linalg.solve(H @ P @ H.T + self._measurement, H @ P).T
 
@@ -93,43 +94,40 @@ class KalmanObserver:
         self._chart.reset()
 
     def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
-        n, whole = self.model.state_dim, np.isfinite(observation)
+        whole = np.isfinite(observation)
         self.missing += not whole.all()
         if not self._begun:
-            self._begin(observation, last_input)
+            # the robot is taken to have rested where it is; missing values as at rest
+            self._chart.measure(np.where(whole, observation, 0.0), last_input)
+            self._start_at(self._chart.state()[0])
+            self._begun = True
             return
         self._chart.measure(observation, last_input)
-        self._predict(observation, last_input)
+        self._predict(last_input)
         self._update(observation, whole)
-        norm = np.linalg.norm(self._x[:n])
-        if not (np.isfinite(self._x).all() and norm <= self._largest):
-            self._restart()
+        if not self._believed(self._x):
+            z, _, _ = self._chart.state()
+            if self._believed(z):
+                self._start_at(z)
+                self.restarts += 1
 
-    def _predict(self, observation: np.ndarray, last_input: np.ndarray) -> None:
+    def _believed(self, x: np.ndarray) -> bool:
+        return bool(np.isfinite(x).all() and np.linalg.norm(x[:self.model.state_dim]) <= self._largest)
+
+    def _start_at(self, z: np.ndarray) -> None:
+        self._x, self._P = np.concatenate([z, np.zeros(self._E.shape[1])]), self._start.copy()
+
+    def _predict(self, last_input: np.ndarray) -> None:
         n = self.model.state_dim
         z, d = self._x[:n], self._x[n:]
         u = last_input + self._E @ d
-        if self.extended:
-            A, B, c = self.model.linearize(z, u)
-            G, _ = self._augmented(A, B, np.zeros((len(observation), n)))
-            self._x = np.concatenate([A @ z + B @ u + c, d])
-            self._P = G @ self._P @ G.T + self._process
-        else:
+        if not self.extended:
             self._x = np.concatenate([self.model.step(z, u), d])
-
-    def _restart(self) -> None:
-        z, _, _ = self._chart.state()
-        if np.isfinite(z).all() and np.linalg.norm(z) <= self._largest:
-            self._x, self._P = np.concatenate([z, np.zeros(self._E.shape[1])]), self._start.copy()
-            self.restarts += 1
-
-    def _begin(self, observation: np.ndarray, last_input: np.ndarray) -> None:
-        """The robot is taken to have rested where it is; missing values as at rest."""
-        start = np.where(np.isfinite(observation), observation, 0.0)
-        self._chart.measure(start, last_input)
-        z = self.model.encode(np.tile(start, (self.model.delays + 1, 1)), np.tile(last_input, (self.model.delays, 1)))
-        self._x, self._P = np.concatenate([z, np.zeros(self._E.shape[1])]), self._start.copy()
-        self._begun = True
+            return
+        A, B, c = self.model.linearize(z, u)
+        G = self._transition(A, B)
+        self._x = np.concatenate([A @ z + B @ u + c, d])
+        self._P = G @ self._P @ G.T + self._process
 
     def _update(self, observation: np.ndarray, whole: np.ndarray) -> None:
         if not (whole.any() if self.extended else whole.all()):

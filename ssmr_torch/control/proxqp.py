@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 from proxsuite import proxqp
 
-from ssmr_torch.control import kkt
-from ssmr_torch.control.qp import ROUNDING, QPSolution, QuadraticProgram
+from ssmr_torch.control.qp import ROUNDING, QPSolution, QuadraticProgram, Workspace
 from ssmr_torch.status import Status
 
 # ProxQP counts bounds of this size as absent.
@@ -26,7 +25,7 @@ PROXQP_STATUS = {
 }
 
 
-class ProxQP:
+class ProxQP(Workspace):
     """ProxQP's dense backend [Bambade et al., RSS 2022] with one workspace for problems of one size.
 
     dim d variables, `rows` general rows.
@@ -37,18 +36,13 @@ class ProxQP:
 
     def __init__(self, dim: int, rows: int = 0, *, tolerance: float = 1e-6, max_iterations: int = 200,
                  warm: bool | None = None):
-        if dim < 1 or rows < 0:
-            raise ValueError(f"a problem of {dim} variables and {rows} rows; expected at least 1 and 0")
-        if not tolerance > 0 or max_iterations < 1:
-            raise ValueError(f"tolerance {tolerance} and max_iterations {max_iterations} must be positive")
-        self.dim, self.rows = int(dim), int(rows)
-        self.tolerance, self.max_iterations = float(tolerance), int(max_iterations)
+        super().__init__(dim, rows, tolerance, max_iterations)
         self.warm = rows > 0 if warm is None else warm
         self._known = None, None, None
         self.reset()
 
     def reset(self, tolerance: float | None = None) -> None:
-        """Forget the workspace: the same problems then give the same solutions again, to rounding."""
+        """As in `Workspace`; tolerance: of this start alone."""
         tolerance = self.tolerance if tolerance is None else tolerance
         self._workspace, self._fresh = proxqp.dense.QP(self.dim, 0, self.rows, True), True
         settings = self._workspace.settings
@@ -60,14 +54,7 @@ class ProxQP:
         settings.eps_duality_gap_abs, settings.eps_duality_gap_rel = tolerance, ROUNDING
         settings.max_iter = settings.max_iter_in = self.max_iterations
 
-    def solve(self, problem: QuadraticProgram) -> QPSolution:
-        """Never raises for the numbers in the problem; ValueError for a problem of another size."""
-        if (problem.dim, problem.rows) != (self.dim, self.rows):
-            raise ValueError(f"a problem of {problem.dim} variables and {problem.rows} rows; "
-                             f"this workspace holds {self.dim} and {self.rows}")
-        defect = problem.defect()
-        if defect is not None:
-            return QPSolution.none(problem, defect)
+    def _solve(self, problem: QuadraticProgram) -> QPSolution:
         solution = self._attempt(problem)
         if not solution.status.success:
             # What other problems left behind can mislead: a fresh, stricter start has the last word.
@@ -82,12 +69,8 @@ class ProxQP:
         shift = self._load(problem)
         self._workspace.solve()
         results = self._workspace.results
-        z = results.z.copy()
-        box, rows = z[self.rows:], z[:self.rows]
-        kkt.drop_absent(box, problem.lower, problem.upper)
-        if self.rows:
-            kkt.drop_absent(rows, problem.row_lower, problem.row_upper)
-        return QPSolution.judged(problem, results.x + shift, box, rows,
+        z = results.z
+        return QPSolution.judged(problem, results.x + shift, z[self.rows:], z[:self.rows],
                                  PROXQP_STATUS[results.info.status], results.info.iter, self.tolerance)
 
     def _load(self, problem: QuadraticProgram) -> np.ndarray:

@@ -5,6 +5,7 @@ Residuals are computed here from the problem; what a solver says about itself is
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -131,7 +132,14 @@ class QPSolution:
     @classmethod
     def judged(cls, problem: QuadraticProgram, x: np.ndarray, box: np.ndarray, rows: np.ndarray,
                claim: Status, iterations: int, tolerance: float) -> QPSolution:
-        """The solution with its own residuals; a claim of success that they do not support is refused."""
+        """The solution with its own residuals; a claim of success that they do not support is refused.
+
+        Multipliers of absent bounds are what rounding left there, and count as none.
+        """
+        box, rows = box.copy(), rows.copy()
+        kkt.drop_absent(box, problem.lower, problem.upper)
+        if problem.C is not None:
+            kkt.drop_absent(rows, problem.row_lower, problem.row_upper)
         primal, dual, gap, weight = kkt.kkt_residuals(*problem._parts(), x, box, rows)
         if claim.success:
             limit = RESIDUAL_FACTOR * tolerance
@@ -140,3 +148,34 @@ class QPSolution:
             if not (near and dual <= limit + ROUNDING * np.abs(problem.g).max()):
                 claim = Status.RESIDUAL_TOO_LARGE if np.isfinite(x).all() else Status.NOT_FINITE
         return cls(x, box, rows, claim, iterations, primal, dual, gap)
+
+
+class Workspace(ABC):
+    """A solver whose memory serves programs of dim variables and `rows` general rows, one after the other.
+
+    tolerance: absolute.   max_iterations: of one program.   Raises ValueError for numbers that are not positive.
+    """
+
+    def __init__(self, dim: int, rows: int, tolerance: float, max_iterations: int):
+        if dim < 1 or rows < 0:
+            raise ValueError(f"a problem of {dim} variables and {rows} rows; expected at least 1 and 0")
+        if not tolerance > 0 or max_iterations < 1:
+            raise ValueError(f"tolerance {tolerance} and max_iterations {max_iterations} must be positive")
+        self.dim, self.rows = int(dim), int(rows)
+        self.tolerance, self.max_iterations = float(tolerance), int(max_iterations)
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget the workspace: the same problems then give the same solutions again, to rounding."""
+
+    def solve(self, problem: QuadraticProgram) -> QPSolution:
+        """Never raises for the numbers in the problem; ValueError for a problem of another size."""
+        if (problem.dim, problem.rows) != (self.dim, self.rows):
+            raise ValueError(f"a problem of {problem.dim} variables and {problem.rows} rows; "
+                             f"this workspace holds {self.dim} and {self.rows}")
+        defect = problem.defect()
+        return self._solve(problem) if defect is None else QPSolution.none(problem, defect)
+
+    @abstractmethod
+    def _solve(self, problem: QuadraticProgram) -> QPSolution:
+        """Of a problem without a defect."""
