@@ -1,5 +1,6 @@
-"""Seeds, one thread, and where the real measurements are."""
+"""Seeds, one thread, where the real measurements are, and the benchmark's oscillators."""
 
+import importlib.util
 import os
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from ssmr_torch.data.windows import SegmentDataset
 from ssmr_torch.fitting.exact import ExactSolve
 
 MEASUREMENTS = Path(os.environ.get("SSMR_TORCH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+BENCHMARK = Path(__file__).parents[1] / "experiments" / "benchmarks" / "control_step.py"
 
 
 @pytest.fixture(autouse=True)
@@ -50,3 +52,12 @@ def solve_stages():
         return procedure.model
 
     return solve
+
+
+@pytest.fixture(scope="session")
+def bench():
+    """The benchmark as a module: `oscillators`, `perturbed`, `TablesPlant`, `BOUNDS`, `measure`."""
+    spec = importlib.util.spec_from_file_location("control_step", BENCHMARK)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

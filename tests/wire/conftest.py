@@ -1,10 +1,8 @@
 """A robot and a controller for both ends of the wire, and stand-ins for what lies between."""
 
-import importlib.util
 import threading
 from collections import deque
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,17 +11,6 @@ from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.wire.link import ControllerLink, RobotLink
 from ssmr_torch.wire.messages import Kind, Message, RobotCard, unpack
 from ssmr_torch.wire.robot_end import RobotEnd
-
-BENCHMARK = Path(__file__).parents[2] / "experiments" / "benchmarks" / "control_step.py"
-
-
-@pytest.fixture(scope="session")
-def bench():
-    """The benchmark as a module: `oscillators`, `perturbed`, `TablesPlant`, `BOUNDS`."""
-    spec = importlib.util.spec_from_file_location("control_step", BENCHMARK)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture
