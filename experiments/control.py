@@ -19,6 +19,9 @@ def margins(config, loaded, task) -> dict:
     """What the model missed on the held-out runs of config.residuals, or on all where none is marked test."""
     if config.residuals is None:
         return {}
+    if config.controller.get("margins", ()) is not None:
+        raise ValueError("residuals=FILE.h5 sets the margins of a predictive controller; use controller=scp, and leave "
+                         "controller.margins null")
     dataset = TrajectoryDataset.load(config.residuals).observing(loaded.card["output_names"])
     runs = dataset.select(kind="controlled")
     held_out = [run.read() for run in [run for run in runs if run.split == "test"] or runs]

@@ -251,6 +251,8 @@ def test_two_processes_started_by_the_entry_point_give_the_scores_of_one(line):
     ("train", ["data.path=collect/trajectories.h5", "metric=test/rmse"], "never by the test runs"),
     ("train", ["data.path=collect/trajectories.h5", "model.chart_degree=2"], "set detection_delays above"),
     ("control", ["artifact=export/0/artifact", "task.tracked=[nose]"], "tracks 'nose'"),
+    ("control", ["artifact=export/0/artifact", "residuals=collect/trajectories.h5",
+                 "controller.margins=[0.0,0.0,0.0,0.0,0.0]"], "leave controller.margins null"),
     ("report", ["directory=collect"], "nothing to report below"),
     ("collect", ["plant=trunk", "plant.mesh=elephant"], "no mesh file at elephant; the package's own are"),
     ("collect", ["plant=trunk", "plant.length_unit=m"], "check the unit of the mesh"),

@@ -11,6 +11,7 @@ import importlib
 import os
 import shutil
 import tempfile
+from abc import ABC, abstractmethod
 from collections import Counter
 
 import numpy as np
@@ -38,7 +39,7 @@ class Unavailable(Exception):
     """A contender that cannot run here, with the reason."""
 
 
-class Contender:
+class Contender(ABC):
     """Receding horizon around another solver: plans at every control step, holds the input in between.
 
     A plan that fails is replaced by the last one, shifted, and counted in `fallbacks`. Subclasses plan.
@@ -78,13 +79,13 @@ class Contender:
         self._input = np.clip(planned, *self.bounds)
         return Command(self._input)
 
+    @abstractmethod
     def plan(self, state: np.ndarray, reference: np.ndarray) -> np.ndarray:
         """The first input of a new plan, NaN where there is none; keeps the plan, shifted, as the next guess."""
-        raise NotImplementedError
 
+    @abstractmethod
     def intended(self) -> np.ndarray:
         """The first input of the last plan, shifted; it shifts that plan once more."""
-        raise NotImplementedError
 
 
 class CasADi(Contender):

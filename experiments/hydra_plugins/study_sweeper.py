@@ -53,17 +53,15 @@ class StudySweeper(Sweeper):
             study = optuna.create_study(study_name=self.trials.study_name, storage=self.trials.storage,
                                         load_if_exists=True)
             self._check_same(study, sorted([*self.trials._parse_sweeper_params_config(), *arguments]))
+        limit = self.trials.config.get("search_minutes")
         while len(finished := study.get_trials(False, (optuna.trial.TrialState.COMPLETE,))) < self.wanted:
-            minutes, limit = sum(trial.duration.total_seconds() for trial in finished) / 60, self._minutes()
+            minutes = sum(trial.duration.total_seconds() for trial in finished) / 60
             if limit is not None and minutes > limit:
                 print(f"\nthe {limit:g} minutes are over after {len(finished)} trials")
                 break
             best = f", best so far {min(trial.value for trial in finished):.4g}" if finished else ""
             print(f"\ntrial {len(finished) + 1} of {self.wanted}{best}")
             self.trials.sweep(arguments)
-
-    def _minutes(self) -> float | None:
-        return self.trials.config.get("search_minutes")
 
     def _check_same(self, study, arguments: list[str]) -> None:
         begun = study.user_attrs.get("arguments", arguments)

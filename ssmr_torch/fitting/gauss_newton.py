@@ -131,6 +131,7 @@ class GaussNewtonFit(ModelFit):
 
     @torch.no_grad()
     def training_step(self, batch: RolloutBatch, index: int) -> None:
+        """Accumulate the sensitivities of these rollouts; with the last batch of the epoch, take the step."""
         optimizer = self.optimizers()
         steps = self._steps(batch)
         if self._weights is None:

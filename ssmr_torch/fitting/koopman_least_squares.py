@@ -64,6 +64,7 @@ class KoopmanLeastSquares(nn.Module):
 
     @torch.no_grad()
     def regressions(self, segment: Segment, stage: str) -> dict[str, Regression]:
+        """Rows of a segment: transitions of observables, for the stage "pregain" set points; {} where it has none."""
         if stage == "pregain":
             return self._pregain(segment) if segment.kind == "static" else {}
         if segment.kind not in self.kinds or len(segment.observation) <= self.before + self.after:
