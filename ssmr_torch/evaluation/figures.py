@@ -19,6 +19,8 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodF
 METHODS = {
     "SSMR": ("#0072B2", "-"), "SSSR": ("#56B4E9", "-"), "DMD": ("#E69F00", "-"), "EDMD": ("#D55E00", "-"),
     "Koopman LQR": ("#CC79A7", "-"), "TPWL": ("#009E73", "-"), "neural ODE": ("#882255", "-"),
+    "SSMR guarded": ("#003D66", "--"), "SSMR oblique": ("#7FA8E5", "-."), "SSMR control augmented": ("#117733", "-"),
+    "EDMD bilinear": ("#8C510A", "--"), "EDMD relift": ("#F4A582", "-."),
     "persistence": ("#999999", "--"), "constant velocity": ("#666666", ":"), "reference": ("#000000", "--"),
     "measured": ("#000000", "-")}
 SPARE_COLOURS = ("#332288", "#999933", "#AA4499", "#44AA99", "#661100", "#DDCC77")
@@ -40,15 +42,27 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     return drawn
 
 
+def look(name: str) -> tuple[str, str] | None:
+    """Colour and line of a method of `METHODS`, in whatever case and with spaces or underscores; None for another."""
+    return _LOOKS.get(_plain(name))
+
+
+def _plain(name: str) -> str:
+    return name.casefold().replace("_", " ")
+
+
+_LOOKS = {_plain(name): own for name, own in METHODS.items()}
+
+
 def colours(names: Iterable[str]) -> dict[str, str]:
     """The colour of each method: always the same for those of `METHODS`, spare ones in order for others."""
     names = list(names)
-    unknown = [name for name in names if name not in METHODS]
+    unknown = [name for name in names if look(name) is None]
     if len(unknown) > len(SPARE_COLOURS):
         raise ValueError(f"{len(unknown)} methods without a fixed colour, {len(SPARE_COLOURS)} spare ones; "
                          f"draw fewer at once or name them as in {list(METHODS)}")
     spare = dict(zip(unknown, SPARE_COLOURS))
-    return {name: METHODS[name][0] if name in METHODS else spare[name] for name in names}
+    return {name: spare[name] if name in spare else look(name)[0] for name in names}
 
 
 @styled
@@ -154,7 +168,8 @@ def error_over_horizon(horizons: np.ndarray, errors: Mapping[str, np.ndarray]) -
     horizons: (K,) s; errors: name → (K,) m, infinite where a rollout diverged.
     """
     horizons = np.asarray(horizons)
-    figure, axes = panels(WIDTH / 2 + 0.6, 3.0)
+    many = len(errors) > 6
+    figure, axes = panels(WIDTH if many else WIDTH / 2 + 0.6, 3.0)
     palette = colours(errors)
     for name, values in errors.items():
         values = np.asarray(values, dtype=np.float64)
@@ -169,7 +184,10 @@ def error_over_horizon(horizons: np.ndarray, errors: Mapping[str, np.ndarray]) -
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axis.set_minor_formatter(NullFormatter())
-    _legend(figure, axes)
+    if many:
+        figure.legend(loc="outside center right")
+    else:
+        _legend(figure, axes)
     return figure
 
 
@@ -286,13 +304,15 @@ def panels(width: float, height: float, *grid: int, **options):
 
 
 def _line(name: str) -> str:
-    return METHODS[name][1] if name in METHODS else "-"
+    return (look(name) or ("", "-"))[1]
 
 
 def _legend(figure: Figure, axes: Axes) -> None:
     handles, labels = axes.get_legend_handles_labels()
-    rows = math.ceil(len(labels) * 1.25 / figure.get_figwidth())
-    figure.legend(handles, labels, loc="outside upper center", ncols=math.ceil(len(labels) / rows))
+    entry = 0.55 + 0.075 * max(map(len, labels))  # in, of a handle and the longest label
+    columns = max(1, min(len(labels), int(figure.get_figwidth() / entry)))
+    figure.legend(handles, labels, loc="outside upper center", ncols=math.ceil(len(labels) / math.ceil(
+        len(labels) / columns)))
 
 
 def _match_columns(array: np.ndarray, names: Sequence[str]) -> None:

@@ -24,12 +24,14 @@ PATHS_PER_FIGURE = len(figures.SPARE_COLOURS)
 
 def prediction_figures(models: Mapping[str, object], scores: Mapping[str, OpenLoopScore], runs: Sequence,
                        output_names: Sequence[str], outputs: Sequence[int], shown: float = 4.0) -> dict:
-    """Error over the horizon, and the first `shown` s of each model's rollout over the longest controlled run, from
-    the scores' common margin. Of more than six models the first.
+    """Error over the horizon of all models that have colours, those of one's own naming up to six; and the first
+    `shown` s of each model's rollout over the longest controlled run, from the scores' common margin, of more than six
+    models the first.
     """
     first = next(iter(scores.values()))
+    named = [name for name in scores if figures.look(name) is None][PATHS_PER_FIGURE:]
+    scores = {name: score for name, score in scores.items() if name not in named}
     models = dict(list(models.items())[:PATHS_PER_FIGURE])
-    scores = {name: score for name, score in scores.items() if name in models or name in BASELINES}
     longest_step = max(model.timestep for model in models.values())
 
     def needed(run) -> int:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, NullFormatter, StrMethodFormatter
 
-from ssmr_torch.evaluation.figures import METHODS, MM, MS, SPARE_COLOURS, WIDTH, panels, styled
+from ssmr_torch.evaluation.figures import METHODS, MM, MS, SPARE_COLOURS, WIDTH, look, panels, styled
 
 # column of a result, axis label, factor
 COSTS = (("parameters", "parameters (–)", 1.0), ("fit_time", "fit time (s)", 1.0), ("step_time", "step time (ms)", MS),
@@ -24,10 +24,9 @@ def looks(models: Iterable[str]) -> dict[str, tuple[str, str]]:
     """Colour and marker of each model, any number of them: its own colour of `METHODS` or a spare one; colours come
     round again with another marker.
     """
-    own = {name.casefold().replace(" ", "_"): colour for name, (colour, _) in METHODS.items()}
     found, spare = {}, 0
     for number, model in enumerate(dict.fromkeys(models)):
-        colour = own.get(model.casefold().replace(" ", "_"))
+        colour, _ = look(model) or (None, "")
         if colour is None:
             colour, spare = SPARE_COLOURS[spare % len(SPARE_COLOURS)], spare + 1
         found[model] = colour, MARKERS[number % len(MARKERS)]

@@ -71,6 +71,21 @@ def test_a_method_has_one_colour_and_no_two_methods_share_it():
         figures.colours("abcdefg")
 
 
+def test_a_method_keeps_its_look_however_its_name_is_written():
+    assert figures.look("SSMR_CONTROL_AUGMENTED") == figures.look("ssmr control augmented") != figures.look("SSMR")
+    assert figures.look("NEURAL_ODE") == figures.METHODS["neural ODE"] and figures.look("mine") is None
+
+
+def test_a_dozen_models_are_all_named_inside_the_figure():
+    names = [name for name in figures.METHODS if name not in ("reference", "measured")]
+    figure = figures.error_over_horizon(np.array([0.05, 0.2]), {name.upper(): np.array([1e-4, 1e-3]) for name in names})
+    figure.draw_without_rendering()
+    box = figure.legends[0].get_window_extent()
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [name.upper() for name in names]
+    assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1
+    assert not box.overlaps(figure.axes[0].get_window_extent())
+
+
 def test_lengths_are_drawn_in_millimetres_and_times_in_milliseconds():
     tracking = FIGURES["tracking"]()
     plane, error = tracking.axes
