@@ -45,7 +45,7 @@ def main(config, directory):
         record = simulate(plant, controller, task, seed=config.seed, noise_std=config.noise_std, watch=watch,
                           progress=config.progress, provenance=origin | {"input_bounds": plant.input_bounds.tolist()})
     record.save(directory / "record.h5")
-    draw_robot(plant, record, directory, config.animate)
+    draw_robot(plant, record, directory, config.animate, task.obstacles)
     metrics = closed_loop_metrics(record, task.obstacles)
     save_json(directory / "metrics.json", metrics)
     inside = "" if not task.obstacles else (f"inside an obstacle {100 * metrics['violation_ratio']:.3g} % of the time, "

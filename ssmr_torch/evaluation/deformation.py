@@ -8,7 +8,7 @@ import numpy as np
 
 from ssmr_torch.closed_loop import ClosedLoopRecord
 from ssmr_torch.evaluation import figures
-from ssmr_torch.evaluation.robot_figures import HANGING, STANDING, robot_animation, robot_stills
+from ssmr_torch.evaluation.robot_figures import HANGING, STANDING, add_circles, robot_animation, robot_stills
 
 STILLS = 5
 FRAMES_PER_SECOND = 25.0
@@ -34,10 +34,11 @@ def replayed_shapes(plant, record: ClosedLoopRecord, samples: np.ndarray) -> np.
     return np.stack(shapes)
 
 
-def draw_robot(plant, record: ClosedLoopRecord, directory: Path, animate: bool = False) -> list[Path]:
+def draw_robot(plant, record: ClosedLoopRecord, directory: Path, animate: bool = False, obstacles=()) -> list[Path]:
     """Save robot.svg, the robot at five instants, and robot.gif on demand; nothing for a plant that has no shape.
 
-    The tip is the plant's first marker. A reference is drawn where the task tracks coordinates of it alone.
+    The tip is the plant's first marker. A reference is drawn where the task tracks coordinates of it alone, and circles
+    among the obstacles where that are two.
     """
     robot = getattr(plant, "plant", plant)
     if not hasattr(robot, "positions"):
@@ -55,6 +56,10 @@ def draw_robot(plant, record: ClosedLoopRecord, directory: Path, animate: bool =
     samples = np.round(np.linspace(0.0, 1.0, STILLS + 1)[1:] * last).astype(int)
     stills = robot_stills(replayed_shapes(plant, record, samples), robot.surface, record.time[samples], tip, reference,
                           rest=robot.resting, **drawn)
+    circles = [obstacle for obstacle in obstacles if hasattr(obstacle, "radius")]
+    if circles and drawn["plane"] is not None:
+        centers = np.stack([circle.centers(record.time[samples]) for circle in circles], axis=1)
+        add_circles(stills, centers + robot.rest[plane], np.array([circle.radius for circle in circles]))
     saved = [figures.save(stills, directory / "robot.svg")]
     if animate:
         samples = np.arange(0, last + 1, max(1, round(1 / FRAMES_PER_SECOND / plant.timestep)))

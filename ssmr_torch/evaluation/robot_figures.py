@@ -12,7 +12,7 @@ from matplotlib.animation import PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
+from matplotlib.patches import Circle, Polygon
 
 from ssmr_torch.evaluation.figures import METHODS, MM, WIDTH, colours, panels, styled
 
@@ -84,6 +84,14 @@ def robot_stills(shapes: np.ndarray, triangles: np.ndarray, times: np.ndarray, t
             view.show(index)
         column[0].set_title(f"{time:.2f} s")
     return figure
+
+
+def add_circles(stills: Figure, centers: np.ndarray, radii: np.ndarray) -> None:
+    """Obstacles on the second row of `robot_stills`: centers (K, C, 2) m in its plane at the instants, radii (C,) m."""
+    for axes, at in zip(stills.axes[len(centers):], centers):
+        for center, radius in zip(at, radii):
+            axes.add_patch(Circle(MM * center, MM * radius, facecolor=REST, edgecolor="#888888", linewidth=0.6,
+                                  zorder=1))
 
 
 @styled

@@ -7,10 +7,13 @@ import pytest
 
 from ssmr_torch.closed_loop import simulate
 from ssmr_torch.control.base import Command
+from ssmr_torch.evaluation import deformation
 from ssmr_torch.evaluation.deformation import draw_robot, replayed_shapes
+from ssmr_torch.evaluation.robot_figures import add_circles
 from ssmr_torch.plants.rig import Rig
 from ssmr_torch.plants.slow_manifold import SlowManifold
 from ssmr_torch.plants.trunk import Trunk
+from ssmr_torch.tasks.obstacles import Circle, HalfPlane, drifting
 from ssmr_torch.tasks.references import figure_eight
 
 TASK = figure_eight(amplitude=0.005, laps=1, angular_speed=15.0, ramp=0.1, tracked=("tip_x", "tip_y"))
@@ -58,6 +61,20 @@ def test_another_plant_than_the_recorded_one_is_refused(trunk):
 def test_a_finite_element_robot_is_drawn_and_animated(trunk, tmp_path):
     saved = draw_robot(trunk, recorded(trunk), tmp_path, animate=True)
     assert [path.name for path in saved] == ["robot.svg", "robot.gif"] and all(path.is_file() for path in saved)
+
+
+def test_circles_are_drawn_where_they_are_at_each_instant(trunk, tmp_path, monkeypatch):
+    moving, seen = Circle(drifting((0.01, 0.0), (0.0, 0.02)), 0.004), []
+    monkeypatch.setattr(deformation, "add_circles", lambda stills, centers, radii: seen.append((
+        add_circles(stills, centers, radii), stills, centers, radii)))
+    record = recorded(trunk)
+    draw_robot(trunk, record, tmp_path, obstacles=(moving, HalfPlane((1.0, 0.0), 0.02)))
+    (_, stills, centers, radii), = seen
+    for axes, at in zip(stills.axes[len(centers):], centers):
+        (circle,) = axes.patches
+        np.testing.assert_allclose(circle.center, 1e3 * at[0])
+        assert circle.radius == pytest.approx(4.0)
+    np.testing.assert_allclose(centers[-1, 0] - trunk.rest[:2], [0.01, 0.02 * record.time[-1]])
 
 
 def test_a_plant_without_a_shape_has_no_picture(tmp_path):
