@@ -21,7 +21,9 @@ HERE = Path(__file__).parent
 RUN = ControlledRun("steps", RandomSteps(0.1, share=0.9), 0.3, repeats=2)
 BREAKING = ControlledRun("breaking", SetPoints(((1.0, 0.0),)), 0.2)
 SCRIPT = """
+import signal
 import sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs start with Ctrl-C ignored
 sys.path.insert(0, {here!r})
 from fragile_plants import FragilePlant, small
 
@@ -76,7 +78,7 @@ def alive(process: int) -> bool:
 
 
 def press_until_it_ends(started, seconds=1.0):
-    """Ctrl-C as a terminal sends it; again where the first one fell into a destructor, in which Python ignores it."""
+    """Ctrl-C as a terminal sends it, and again as a person would: one that falls into a destructor is lost."""
     while started.poll() is None:
         os.killpg(started.pid, signal.SIGINT)
         end = time.monotonic() + seconds
@@ -107,7 +109,7 @@ def test_the_work_is_done_by_others_with_one_thread_each(plants, small, tmp_path
 def test_an_interrupted_collection_leaves_no_process_and_goes_on_where_it_stopped(plant, small, tmp_path, workers,
                                                                                   blow):
     script, directory = tmp_path / "script.py", tmp_path / "directory"
-    # long enough for a second Ctrl-C where the first one fell into a destructor
+    # long enough for a second Ctrl-C
     script.write_text(SCRIPT.format(here=str(HERE), log=str(plant.log), workers=workers, directory=str(directory),
                                     delay=0.12 if blow == signal.SIGINT else 0.03))
     with subprocess.Popen([sys.executable, script], start_new_session=True, stderr=subprocess.PIPE) as started:
