@@ -91,7 +91,8 @@ class ProxQP(Workspace):
             self._fresh = False
             return shift
         if self.warm:
-            self._workspace.settings.initial_guess = proxqp.WARM_START_WITH_PREVIOUS_RESULT
+            # Its "warm start" also keeps the penalty of the last program, with which some then take 150 iterations.
+            self._workspace.settings.initial_guess = proxqp.COLD_START_WITH_PREVIOUS_RESULT
         self._workspace.update(*arguments, update_preconditioner=False)
         return shift
 
