@@ -85,10 +85,38 @@ def gradient(Y, error, weight, R, inputs, scale):
 
 
 @compiled
+def around(hessian, gradient, inputs, scale):
+    """gradient − hessian · v (N m,), v = inputs / scale: the linear term of the program in v itself."""
+    m, size = len(scale), len(gradient)
+    linear = gradient.copy()
+    for j in range(size):
+        v = inputs[j // m, j % m] / scale[j % m]
+        for i in range(size):
+            linear[i] -= hessian[j, i] * v
+    return linear
+
+
+@compiled
 def condensed(outputs, A, B, C, reference, inputs, scale, weight, R):
-    """`sensitivities`, `gauss_newton` and `gradient` at once: hessian, gradient, Y, Z."""
+    """`gauss_newton`, `gradient`, `around` and `sensitivities` at once: hessian, gradient, linear, Y, Z."""
     Y, Z = sensitivities(A, B, C, scale)
-    return gauss_newton(Y, weight, R), gradient(Y, outputs - reference, weight, R, inputs, scale), Y, Z
+    hessian = gauss_newton(Y, weight, R)
+    slope = gradient(Y, outputs - reference, weight, R, inputs, scale)
+    return hessian, slope, around(hessian, slope, inputs, scale), Y, Z
+
+
+@compiled
+def tracking_cost(outputs, inputs, reference, weight, input_weight):
+    """Σ_k ‖y_k − ŷ_k‖²_Q + ‖u_k‖²_R with weight (N, p) and input_weight (m,)."""
+    cost = 0.0
+    for k in range(outputs.shape[0]):
+        for o in range(outputs.shape[1]):
+            error = outputs[k, o] - reference[k, o]
+            cost += weight[k, o] * error * error
+    for k in range(inputs.shape[0]):
+        for j in range(inputs.shape[1]):
+            cost += input_weight[j] * inputs[k, j] * inputs[k, j]
+    return cost
 
 
 @compiled

@@ -55,7 +55,4 @@ class ChartEstimator:
         return self._observations[::self.stride], self._inputs[::self.stride]
 
     def state(self) -> tuple[np.ndarray, None, None]:
-        window, inputs = self.window()
-        if not (np.isfinite(window).all() and np.isfinite(inputs).all()):
-            return np.full(self.model.state_dim, np.nan), None, None
-        return self.model.encode(window, inputs), None, None
+        return self.model.encode(*self.window()), None, None  # which is not finite where the window is not

@@ -22,6 +22,7 @@ class Condensed(NamedTuple):
 
         hessian (N m, N m) = 2 (Σ_k Y_kᵀ Q_k Y_k + R),   Y_k = ∂y_k/∂v,
         gradient (N m,)    = 2 (Σ_k Y_kᵀ Q_k (y_k − ŷ_k) + R v),
+        linear (N m,)      = gradient − hessian v,
 
     the Gauss-Newton matrix and the exact gradient of the tracking cost / cost_scale, with Q and R scaled alike; the
     hessian is at least twice the identity. sensitivity (N, p, N m): Y; initial (N, p, n): ∂y_k/∂z_0.
@@ -31,6 +32,7 @@ class Condensed(NamedTuple):
     outputs: np.ndarray
     hessian: np.ndarray
     gradient: np.ndarray
+    linear: np.ndarray
     sensitivity: np.ndarray
     initial: np.ndarray
 
@@ -53,10 +55,6 @@ class Horizon(ABC):
     def _rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """`rollout` without a disturbance."""
 
-    @abstractmethod
-    def _linearize(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, ...]:
-        """States, outputs, A (N, n, n), B (N, n, m) of every step and C (N, p, n) of the output after it."""
-
     def _acting(self, inputs: np.ndarray) -> np.ndarray:
         return inputs if self.input_offset is None else inputs + self.input_offset
 
@@ -68,21 +66,20 @@ class Horizon(ABC):
         states, outputs = self._rollout(state, self._acting(inputs))
         return states, self._seen(outputs)
 
+    @abstractmethod
     def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
         """The problem around these inputs with ŷ_1 … ŷ_N = reference (N, p)."""
-        states, outputs, A, B, C = self._linearize(state, self._acting(inputs))
-        outputs = self._seen(outputs)
-        return Condensed(states, outputs, *condensing.condensed(outputs, A, B, C, reference, inputs,
-                                                                self.problem.input_scale, self._weight, self._R))
 
     def moved(self, point: Condensed, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
         """The same linearization seen from another measured state and reference: the feedback phase."""
         outputs = point.outputs + point.initial @ (state - point.states[0])
-        return point._replace(outputs=outputs,
-                              gradient=self._gradient(point.sensitivity, outputs, reference, inputs))
+        gradient, linear = self._gradients(point.hessian, point.sensitivity, outputs, reference, inputs)
+        return point._replace(outputs=outputs, gradient=gradient, linear=linear)
 
-    def _gradient(self, Y, outputs, reference, inputs) -> np.ndarray:
-        return condensing.gradient(Y, outputs - reference, self._weight, self._R, inputs, self.problem.input_scale)
+    def _gradients(self, hessian, Y, outputs, reference, inputs) -> tuple[np.ndarray, np.ndarray]:
+        scale = self.problem.input_scale
+        gradient = condensing.gradient(Y, outputs - reference, self._weight, self._R, inputs, scale)
+        return gradient, condensing.around(hessian, gradient, inputs, scale)
 
 
 class LinearizedHorizon(Horizon):
@@ -92,25 +89,32 @@ class LinearizedHorizon(Horizon):
         states = self.model.rollout(state, inputs)
         return states, self.model.decode(states[1:])
 
-    def _linearize(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, ...]:
-        states, outputs = self._rollout(state, inputs)
-        A, B, _ = self.model.linearize(states[:-1], inputs)
+    def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
+        acting = self._acting(inputs)
+        states, outputs = self._rollout(state, acting)
+        A, B, _ = self.model.linearize(states[:-1], acting)
         C, _ = self.model.linearize_output(states[1:])
-        return states, outputs, *(np.ascontiguousarray(part) for part in (A, B, C))
+        outputs, parts = self._seen(outputs), (np.ascontiguousarray(part) for part in (A, B, C))
+        return Condensed(states, outputs, *condensing.condensed(outputs, *parts, reference, inputs,
+                                                                self.problem.input_scale, self._weight, self._R))
 
 
 class CompiledHorizon(Horizon):
-    """Tables of a kernel and its two functions; `LinearizedHorizon` is the reference."""
+    """Tables of a kernel and its two functions, `rollout` and `condense`; `LinearizedHorizon` is the reference."""
 
-    def __init__(self, model, problem: TrackingProblem, tables, rollout, linearize):
+    def __init__(self, model, problem: TrackingProblem, tables, rollout, condense):
         super().__init__(model, problem)
-        self._tables, self._compiled_rollout, self._compiled_linearize = tables, rollout, linearize
+        self._tables, self._compiled_rollout, self._compiled_condense = tables, rollout, condense
+        self._settings = problem.input_scale, self._weight, self._R
 
     def _rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return self._compiled_rollout(state, inputs, self._tables)
 
-    def _linearize(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, ...]:
-        return self._compiled_linearize(state, inputs, self._tables)
+    def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
+        target = reference if self.output_offset is None else reference - self.output_offset
+        states, outputs, *program = self._compiled_condense(state, inputs, self._acting(inputs), target, self._tables,
+                                                            *self._settings)
+        return Condensed(states, self._seen(outputs), *program)
 
 
 class LinearHorizon(LinearizedHorizon):
@@ -147,8 +151,8 @@ class LinearHorizon(LinearizedHorizon):
     def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
         """The constant matrices; states holds the first state alone."""
         outputs = self._seen(self._outputs(state, self._acting(inputs)))
-        return Condensed(state[None], outputs, self._hessian, self._gradient(self._Y, outputs, reference, inputs),
-                         self._Y, self._Z)
+        gradients = self._gradients(self._hessian, self._Y, outputs, reference, inputs)
+        return Condensed(state[None], outputs, self._hessian, *gradients, self._Y, self._Z)
 
 
 def horizon_for(model, problem: TrackingProblem) -> Horizon:
@@ -163,11 +167,11 @@ def horizon_for(model, problem: TrackingProblem) -> Horizon:
     if getattr(model, "affine", False):
         return LinearHorizon(model, problem)
     if all(isinstance(getattr(model, name, None), np.ndarray) for name in POLYNOMIAL):
-        return CompiledHorizon(model, problem, kernel.tables_of(model), kernel.rollout, kernel.linearize)
+        return CompiledHorizon(model, problem, kernel.tables_of(model), kernel.rollout, kernel.condense)
     if hasattr(model, "dynamics_monomials"):
         tables = map_kernel.map_tables(model, model.repeats)
-        return CompiledHorizon(model, problem, tables, map_kernel.rollout_map, map_kernel.linearize_map)
+        return CompiledHorizon(model, problem, tables, map_kernel.rollout_map, map_kernel.condense_map)
     if hasattr(model, "read_out") and not model.relift:
         tables = map_kernel.bilinear_tables(model, model.repeats)
-        return CompiledHorizon(model, problem, tables, map_kernel.rollout_bilinear, map_kernel.linearize_bilinear)
+        return CompiledHorizon(model, problem, tables, map_kernel.rollout_bilinear, map_kernel.condense_bilinear)
     return LinearizedHorizon(model, problem)

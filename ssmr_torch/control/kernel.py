@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.control.condensing import compiled
+from ssmr_torch.control.condensing import compiled, condensed
 
 
 class KernelTables(NamedTuple):
@@ -183,3 +183,10 @@ def linearize(state, inputs, tables):
         table_product(tables.output, powers, outputs[k])
         table_product(tables.output_z, powers, C[k].reshape(-1))
     return states, outputs, A, B, C
+
+
+@compiled
+def condense(state, inputs, acting, reference, tables, scale, weight, R):
+    """As `condensing.condensed` of the linearization around `acting`, what the plant gets; states and outputs first."""
+    states, outputs, A, B, C = linearize(state, acting, tables)
+    return states, outputs, *condensed(outputs, A, B, C, reference, inputs, scale, weight, R)

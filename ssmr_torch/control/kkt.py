@@ -35,10 +35,22 @@ def soundness(H, g, lower, upper, C, row_lower, row_upper):
 
 
 @compiled
+def drop_absent(multipliers, lower, upper):
+    """Set to zero, in place, what rounding has left at bounds that are infinite."""
+    for i in range(len(multipliers)):
+        bound = upper[i] if multipliers[i] > 0.0 else lower[i]
+        if np.isinf(bound):
+            multipliers[i] = 0.0
+
+
+@compiled
 def kkt_residuals(H, g, lower, upper, C, row_lower, row_upper, x, box, rows):
     """Largest violation of a bound, ‖H x + g + w + Cᵀ z‖_∞, xᵀ H x + gᵀ x + Σ bound · multiplier, and 1 + |x| + |w| +
-    |z| in the sum of absolute values. Not a number where anything is not finite.
+    |z| in the sum of absolute values. Not a number where anything is not finite. Multipliers of absent bounds are
+    dropped first.
     """
+    drop_absent(box, lower, upper)
+    drop_absent(rows, row_lower, row_upper)
     d, r = len(g), len(row_lower)
     primal, dual, gap, weight = 0.0, 0.0, 0.0, 1.0
     for i in range(d):
@@ -65,12 +77,3 @@ def kkt_residuals(H, g, lower, upper, C, row_lower, row_upper, x, box, rows):
     if not np.isfinite(weight + gap):
         return np.nan, np.nan, np.nan, np.nan
     return primal, dual, abs(gap), weight
-
-
-@compiled
-def drop_absent(multipliers, lower, upper):
-    """Set to zero, in place, what rounding has left at bounds that are infinite."""
-    for i in range(len(multipliers)):
-        bound = upper[i] if multipliers[i] > 0.0 else lower[i]
-        if np.isinf(bound):
-            multipliers[i] = 0.0

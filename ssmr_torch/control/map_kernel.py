@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.control.condensing import compiled
+from ssmr_torch.control.condensing import compiled, condensed
 from ssmr_torch.control.kernel import derivative_table, table_product
 
 
@@ -211,3 +211,17 @@ def rollout_bilinear(state, inputs, tables):
         states[k + 1] = z
         table_product(tables.C, z, outputs[k])
     return states, outputs
+
+
+@compiled
+def condense_map(state, inputs, acting, reference, tables, scale, weight, R):
+    """As `kernel.condense`."""
+    states, outputs, A, B, C = linearize_map(state, acting, tables)
+    return states, outputs, *condensed(outputs, A, B, C, reference, inputs, scale, weight, R)
+
+
+@compiled
+def condense_bilinear(state, inputs, acting, reference, tables, scale, weight, R):
+    """As `kernel.condense`."""
+    states, outputs, A, B, C = linearize_bilinear(state, acting, tables)
+    return states, outputs, *condensed(outputs, A, B, C, reference, inputs, scale, weight, R)

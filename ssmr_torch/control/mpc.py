@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from math import isfinite, sqrt
 
 import numpy as np
 
@@ -152,7 +153,7 @@ class ModelPredictiveController:
 
     def _watch_sensor(self, observation: np.ndarray) -> None:
         """Count equal measurements in a row, and remember the input at the first of them."""
-        if self._seen is None or not np.array_equal(observation, self._seen):
+        if self._seen is None or (observation != self._seen).any():
             self._seen, self._repeats, self._input_then = observation, 0, self._last_input
         else:
             self._repeats += 1
@@ -168,19 +169,25 @@ class ModelPredictiveController:
         plan = None
         if self._frozen:
             status = Status.FROZEN_SENSOR
-        elif not (np.isfinite(state).all() and np.isfinite(time)):
+        elif not (np.isfinite(state).all() and isfinite(time)):
             status = Status.NOT_FINITE
         else:
-            for applied in list(self._applied)[1:]:
-                state = self._fine.step(state, applied if self.horizon.input_offset is None
-                                        else applied + self.horizon.input_offset)
-            believed = np.linalg.norm(state) <= self._largest_norm
+            if self._age:
+                state = self._bridged(state)
+            believed = sqrt(state @ state) <= self._largest_norm
             plan = self._solve(time, state) if believed else None
             status = Status.OUT_OF_RANGE if plan is None else plan.qp_status
         if not status.success:
             return self._fall_back(time, plan, status)
         self._plan, self._planned_now, self._prepared = plan, True, None
         return Command(plan.inputs[0].copy(), plan)
+
+    def _bridged(self, state: np.ndarray) -> np.ndarray:
+        """The state now, of one that is as old as the measurements are."""
+        offset = self.horizon.input_offset
+        for applied in list(self._applied)[1:]:
+            state = self._fine.step(state, applied if offset is None else applied + offset)
+        return state
 
     def _solve(self, time: float, state: np.ndarray) -> Plan:
         steps = self._steps_since_plan(time)
@@ -213,7 +220,7 @@ class ModelPredictiveController:
         self.fallbacks[status] += 1
         self._planned_now, self._prepared = False, None
         self.solver.reset()
-        steps = self._steps_since_plan(time) if np.isfinite(time) else None
+        steps = self._steps_since_plan(time) if isfinite(time) else None
         intended = self.safe_input if steps is None else self._plan.inputs[steps]
         admissible = self.problem.admissible(intended[None].copy(), self._last_input)[0]
         return Command(admissible, plan, status)

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ssmr_torch.control.condensing import tracking_cost
 from ssmr_torch.control.constraints import OutputConstraints
 
 # 100 per mm² and 1e-5 per mN², the authors' weights, in SI units.
@@ -177,8 +178,7 @@ class TrackingProblem:
 
         times (N,) s: of the outputs; with constraints, which may move, they are needed.
         """
-        error = outputs - reference
-        cost = float(np.vdot(error * self.stage_weight, error) + np.vdot(inputs * self.input_weight, inputs))
+        cost = tracking_cost(outputs, inputs, reference, self.stage_weight, self.input_weight)
         return cost if self.constraints is None else cost + self.constraints.penalty(times, outputs)
 
 

@@ -137,9 +137,6 @@ class QPSolution:
         Multipliers of absent bounds are what rounding left there, and count as none.
         """
         box, rows = box.copy(), rows.copy()
-        kkt.drop_absent(box, problem.lower, problem.upper)
-        if problem.C is not None:
-            kkt.drop_absent(rows, problem.row_lower, problem.row_upper)
         primal, dual, gap, weight = kkt.kkt_residuals(*problem._parts(), x, box, rows)
         if claim.success:
             limit = RESIDUAL_FACTOR * tolerance

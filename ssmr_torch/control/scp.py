@@ -73,9 +73,11 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     else:
         point = horizon.moved(prepared, state, inputs, reference)
     states, outputs = point.states, point.outputs
-    cost = problem.cost(outputs, inputs, reference, times)
-    if not np.isfinite(cost):
-        status = Status.NOT_FINITE
+    cost = np.nan
+    if max_iterations > 1:  # a real-time iteration compares with nothing, and its program shows what is not finite
+        cost = problem.cost(outputs, inputs, reference, times)
+        if not np.isfinite(cost):
+            status = Status.NOT_FINITE
     while iterations < max_iterations and status is Status.ITERATION_LIMIT:
         if iterations:
             point = horizon.condense(state, inputs, reference)
@@ -107,13 +109,12 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
 def _quadratic_program(problem: TrackingProblem, point: Condensed, inputs: np.ndarray,
                        bounds: tuple[np.ndarray, np.ndarray], times: np.ndarray) -> QuadraticProgram:
     """J / cost_scale to second order around the inputs, in v = u / input_scale and slacks s / SLACK_SCALE."""
-    v = (inputs / problem.input_scale).ravel()
-    gradient = point.gradient - point.hessian @ v
     if problem.constraints is None:
         if problem.rate_rows is None:
-            return QuadraticProgram(point.hessian, gradient, *bounds, convex=True)
+            return QuadraticProgram(point.hessian, point.linear, *bounds, convex=True)
         C, limit = problem.rate_rows
-        return QuadraticProgram(point.hessian, gradient, *bounds, C, -limit, limit, convex=True)
+        return QuadraticProgram(point.hessian, point.linear, *bounds, C, -limit, limit, convex=True)
+    v = (inputs / problem.input_scale).ravel()
     constraints, soft, d = problem.constraints, problem.soft_rows, len(v)
     normals, offsets = constraints.rows(times, point.outputs)
     rows, lowest = output_rows(point.sensitivity, point.outputs, v, normals, offsets, SLACK_SCALE)
@@ -122,7 +123,7 @@ def _quadratic_program(problem: TrackingProblem, point: Condensed, inputs: np.nd
     row_lower, row_upper = np.empty(count), np.full(count, np.inf)
     H[:d, :d] = point.hessian
     H.flat[d * (size + 1)::size + 1] = 2.0 * constraints.quadratic * SLACK_SCALE**2 / problem.cost_scale
-    g = np.concatenate([gradient, np.full(soft, constraints.linear * SLACK_SCALE / problem.cost_scale)])
+    g = np.concatenate([point.linear, np.full(soft, constraints.linear * SLACK_SCALE / problem.cost_scale)])
     hard = count - soft
     if hard:
         C[:hard, :d], limit = problem.rate_rows

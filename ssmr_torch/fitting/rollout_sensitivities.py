@@ -1,6 +1,7 @@
-"""Derivatives of a rollout with respect to the coefficients of a polynomial model, carried along exactly.
+"""Exact derivatives of a rollout with respect to the coefficients of a polynomial model, by the adjoint method.
 
-window ─chart→ z_0 ─steps→ z_k ─parametrization→ ŷ_k,   S_k = ∂z_k/∂(dynamics, chart),   ∂ŷ_k/∂θ = C_k S_k, w(z_k)
+window ─chart→ z_0 ─steps→ z_k ─parametrization→ ŷ_k,   Λ_j = ∂ŷ_k/∂z_j = Λ_{j+1} A_j,   Λ_k = ∂w/∂z,
+∂ŷ_k/∂θ = Σ_{j<k} Λ_{j+1} G_j ⊗ φ_j (dynamics),   Λ_0 ⊗ φ_0 (chart),   φ(z_k) (parametrization)
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from torch import Tensor
 from ssmr_torch.data.windows import RolloutBatch
 from ssmr_torch.models.base import ReducedModel
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
+from ssmr_torch.models.integrators import rk4_step
 from ssmr_torch.models.ssmr import SSMR
 
 GROUPS = ("dynamics", "chart", "parametrization")
@@ -25,6 +27,19 @@ class OutputSensitivity(NamedTuple):
     step: int
     outputs: Tensor
     jacobian: Tensor
+
+
+class Steps(NamedTuple):
+    """K integrator steps z⁺ = z + Σ_s G_s f_s, each of which evaluates the dynamics f_s = R φ_s at s stages.
+
+    states (N, K + 1, n) with the initial ones; transitions ∂z⁺/∂z (N, K, n, n); gains G = ∂z⁺/∂f (N, K, n, s, n);
+    regressors φ (N, K, s, q).
+    """
+
+    states: Tensor
+    transitions: Tensor
+    gains: Tensor
+    regressors: Tensor
 
 
 def coefficients(model: ReducedModel, groups: Sequence[str] = GROUPS) -> list[Tensor]:
@@ -63,63 +78,72 @@ def rollout_sensitivities(model: SSMR | ControlAugmentedSSMR, batch: RolloutBatc
 
     The sensitivities are those of the discretized model: Runge-Kutta stages are differentiated one by one.
     """
-    n, features = model.state_dim, model.chart_regressors(batch.window, batch.window_inputs)
-    z = model.encode(batch.window, batch.window_inputs)
-    q = sum(table.shape[1] for table in dynamics_tables(model)) if "dynamics" in groups else 0
-    k = features.shape[1] if "chart" in groups else 0
-    S = z.new_zeros(len(z), n, n * (q + k))
-    if k:
-        _diagonal_blocks(S[..., n * q:], n, k).add_(features[..., None])
-    for step in range(1, max(steps) + 1):
-        z, S = _advance(model, z, S, batch.inputs[:, step - 1], q)
-        if step in steps:
-            C, _ = model.linearize_output(z)
-            parts = [_split(model, C @ S, q)]
-            if "parametrization" in groups:
-                parts.append(_of_parametrization(model, z))
-            yield OutputSensitivity(step, model.decode(z), torch.cat(parts, dim=-1))
+    taken, within = _steps(model, batch, max(steps)), _within(model)
+    chart_features = model.chart_regressors(batch.window, batch.window_inputs)
+    widths = [table.shape[1] for table in dynamics_tables(model)]
+    for step in steps:
+        last = step * within
+        z = taken.states[:, last]
+        C, _ = model.linearize_output(z)
+        first, after = _adjoints(C, taken.transitions[:, :last])
+        parts = []
+        if "dynamics" in groups:
+            felt = (after @ taken.gains[:, :last].flatten(-2)).unflatten(-1, (-1, model.state_dim))
+            felt = felt.permute(0, 2, 4, 1, 3).flatten(3).flatten(1, 2)
+            for regressors in torch.split(taken.regressors[:, :last].flatten(1, 2), widths, dim=-1):
+                parts.append((felt @ regressors).view(len(z), model.output_dim, -1))
+        if "chart" in groups:
+            parts.append((first[..., None] * chart_features[:, None, None]).flatten(-2))
+        if "parametrization" in groups:
+            parts.append(_of_parametrization(model, z))
+        yield OutputSensitivity(step, model.decode(z), torch.cat(parts, dim=-1))
 
 
-def _advance(model, z: Tensor, S: Tensor, u: Tensor, q: int) -> tuple[Tensor, Tensor]:
-    if isinstance(model, ControlAugmentedSSMR):
-        for _ in range(model.repeats):
-            A, _ = model.advance_jacobians(z, u)
-            S = _driven(A @ S, model, model.base_timestep * model.dynamics_regressors(z, u), q)
-            z = model.advance(z, u)
-        return z, S
-    h = model.timestep / model.substeps
-    for _ in range(model.substeps):
-        z_stage, S_stage, z_sum, S_sum = z, S, 0.0, 0.0
-        for ahead, weight in ((0.5, 1.0), (0.5, 2.0), (1.0, 2.0), (None, 1.0)):
-            z_rate = model.rate(z_stage, u)
-            S_rate = _driven(model.rate_jacobian(z_stage, u) @ S_stage, model, model.dynamics_regressors(z_stage, u), q)
-            z_sum, S_sum = z_sum + weight * z_rate, S_sum + weight * S_rate
-            if ahead is not None:
-                z_stage, S_stage = z + ahead * h * z_rate, S + ahead * h * S_rate
-        z, S = z + h / 6.0 * z_sum, S + h / 6.0 * S_sum
-    return z, S
+def _adjoints(C: Tensor, transitions: Tensor) -> tuple[Tensor, Tensor]:
+    """Λ_0 (N, p, n), and Λ_1 … Λ_k (N, k, p, n), back from Λ_k = C through transitions (N, k, n, n)."""
+    adjoints = [C]
+    for A in reversed(transitions.unbind(1)):
+        adjoints.append(adjoints[-1] @ A)
+    return adjoints[-1], torch.stack(adjoints[-2::-1], dim=1)
 
 
-def _driven(S: Tensor, model, regressors: Tensor, q: int) -> Tensor:
-    """S + the direct effect of the dynamics' coefficients: row i of the table acts on coordinate i."""
-    if q:
-        _diagonal_blocks(S[..., :model.state_dim * q], model.state_dim, q).add_(regressors[..., None])
-    return S
+def _within(model) -> int:
+    """Integrator steps within a timestep."""
+    return model.repeats if isinstance(model, ControlAugmentedSSMR) else model.substeps
 
 
-def _diagonal_blocks(S: Tensor, n: int, columns: int) -> Tensor:
-    """View (N, columns, n) of the entries ∂z_i/∂θ_ij."""
-    return S.unflatten(-1, (n, columns)).diagonal(dim1=1, dim2=2)
+def _steps(model, batch: RolloutBatch, count: int) -> Steps:
+    """The integrator steps of a rollout over `count` timesteps."""
+    inputs = batch.inputs[:, :count].repeat_interleave(_within(model), dim=1)
+    augmented, h = isinstance(model, ControlAugmentedSSMR), model.timestep / _within(model)
+    states = [model.encode(batch.window, batch.window_inputs)]
+    for u in inputs.unbind(1):
+        states.append(model.advance(states[-1], u) if augmented
+                      else rk4_step(lambda z: model.rate(z, u), states[-1], h))
+    states = torch.stack(states, dim=1)
+    return Steps(states, *(_map_steps if augmented else _runge_kutta_steps)(model, states[:, :-1], inputs, h))
 
 
-def _split(model, J: Tensor, q: int) -> Tensor:
-    """Columns of the joint dynamics table (n, q) reordered to those of its parts, one after the other."""
-    tables, n = dynamics_tables(model), model.state_dim
-    if not q or len(tables) == 1:
-        return J
-    joint = J[..., :n * q].unflatten(-1, (n, q))
-    parts = torch.split(joint, [table.shape[1] for table in tables], dim=-1)
-    return torch.cat([*(part.flatten(-2) for part in parts), J[..., n * q:]], dim=-1)
+def _map_steps(model: ControlAugmentedSSMR, z: Tensor, u: Tensor, h: float) -> tuple[Tensor, Tensor, Tensor]:
+    gain = h * torch.eye(model.state_dim, dtype=z.dtype, device=z.device)
+    return (model.advance_jacobians(z, u)[0], gain[:, None].expand(*z.shape, 1, -1),
+            model.dynamics_regressors(z, u)[:, :, None])
+
+
+def _runge_kutta_steps(model: SSMR, z: Tensor, u: Tensor, h: float) -> tuple[Tensor, Tensor, Tensor]:
+    stages = [z]
+    for ahead in (0.5 * h, 0.5 * h, h):
+        stages.append(z + ahead * model.rate(stages[-1], u))
+    identity = torch.eye(model.state_dim, dtype=z.dtype, device=z.device)
+    transition, gains, through = identity, [], 0.0
+    # from the last stage to the first: a rate acts on z⁺ by its own share and through the stage that it leads to
+    for stage, share, ahead in zip(reversed(stages), (1.0, 2.0, 2.0, 1.0), (0.0, h, 0.5 * h, 0.5 * h)):
+        gains.insert(0, share * h / 6.0 * identity + ahead * through)
+        through = gains[0] @ model.rate_jacobian(stage, u)
+        transition = transition + through
+    gains[-1] = gains[-1].expand_as(transition)
+    regressors = [model.dynamics_regressors(stage, u) for stage in stages]
+    return transition, torch.stack(gains, dim=3), torch.stack(regressors, dim=2)
 
 
 def _of_parametrization(model, z: Tensor) -> Tensor:

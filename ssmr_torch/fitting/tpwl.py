@@ -6,17 +6,16 @@ inputs of the training data ─plant→ snapshots ─SVD→ basis ─worst one-s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.linalg import expm
 from tqdm import tqdm
 
 from ssmr_torch.data.windows import Segment
 from ssmr_torch.fitting.dimension import captured_variance
 from ssmr_torch.fitting.exact import ExactSolve
 from ssmr_torch.fitting.fit import ModelFit
+from ssmr_torch.fitting.replay import Replay, linearized_step, replayed
 from ssmr_torch.models.base import fill
 from ssmr_torch.models.tpwl import TPWL
 from ssmr_torch.plants.finite_element.robot import FiniteElementRobot
@@ -24,68 +23,20 @@ from ssmr_torch.plants.finite_element.robot import FiniteElementRobot
 FOREIGN = 0.02  # of the outputs' size: a replay that is further away is no longer that of the same robot
 
 
-class Snapshots(NamedTuple):
-    """States of the plant and what followed one step later: displacements from rest and velocities of the free degrees
-    of freedom, (S, N) m and m/s; inputs (S, m) N held in between; outputs (S, p) m.
+def proper_orthogonal_modes(values: np.ndarray, directions: np.ndarray,
+                            modes: int | str) -> tuple[np.ndarray, np.ndarray]:
+    """Basis (N, r) of the first of all directions (·, N), with the singular values of displacements from rest, and the
+    variance that the first k of them capture. modes: r, or "variance:0.9999", the least number that captures it.
+
+    Raises ValueError where the displacements do not span r directions.
     """
-
-    displacement: np.ndarray
-    velocity: np.ndarray
-    input: np.ndarray
-    output: np.ndarray
-    next_displacement: np.ndarray
-    next_velocity: np.ndarray
-
-
-def proper_orthogonal_modes(displacements: np.ndarray, modes: int | str) -> tuple[np.ndarray, np.ndarray]:
-    """Basis (N, r), orthonormal in the Euclidean sense, of displacements from rest (S, N), and the variance that the
-    first k of all their directions capture. modes: r, or "variance:0.9999", the least number that captures it.
-
-    Raises ValueError where the snapshots do not span r directions.
-    """
-    _, values, directions = np.linalg.svd(displacements, full_matrices=False)
     captured = captured_variance(values)
     rank = int((values > 1e-12 * values[0]).sum())
     size = modes if isinstance(modes, int) else int(np.argmax(captured >= _share(modes))) + 1
     if size > rank:
-        raise ValueError(f"{size} modes are asked for, but the {len(displacements)} snapshots span {rank} directions; "
-                         "take fewer modes or more snapshots")
+        raise ValueError(f"{size} modes are asked for, but the snapshots span {rank} directions; take fewer modes or "
+                         "more snapshots")
     return directions[:size].T, captured
-
-
-def linearized_step(plant: FiniteElementRobot, displacement: np.ndarray, input: np.ndarray,
-                    basis: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A (2r, 2r), B (2r, m), c (2r,) of z⁺ = A z + B u + c, the plant's step linearized at a displacement of the free
-    degrees of freedom (N,) m from rest and at tensions (m,) N, z = [q̃, ṽ], by Galerkin projection on a basis (N, r).
-
-    For plants that step by backward Euler, with the tangent K, the warped stiffness K_w and D = α M + β K_w,
-
-        (M + h D + h² K_w) Δv = h [r − K (q − q_i) + H (u − u_i) − (D + h K_w) v],   v⁺ = v + Δv,   q⁺ = q + h v⁺;
-
-    for the others the exact flow of M q̈ + D q̇ + K (q − q_i) = r + H (u − u_i) over h with the input held.
-    """
-    structure, h, r = plant.structure, plant.timestep, basis.shape[1]
-    sparsity = structure.sparsity
-    positions = sparsity.scatter(sparsity.gather(plant.resting) + displacement, plant.resting)
-    full = structure.linearization(positions, input)
-    M, D, K = (basis.T @ product for product in (full.mass[:, None] * basis, full.damping @ basis,
-                                                 full.stiffness @ basis))
-    H = basis.T @ full.input_matrix
-    offset = basis.T @ full.residual + K @ (basis.T @ displacement) - H @ input
-    rates = np.column_stack([-K, -D, H, offset])
-    if structure.mechanics.law == "corotational":
-        warped = basis.T @ (sparsity.matrix(structure.warped_stiffness(positions)) @ basis)
-        rates[:, r:2 * r] -= h * warped
-        velocity = np.linalg.solve(M + h * D + h ** 2 * warped, h * rates)
-        velocity[:, r:2 * r] += np.eye(r)
-        step = np.vstack([h * velocity, velocity])
-        step[:r, :r] += np.eye(r)
-    else:
-        generator = np.zeros((rates.shape[1], rates.shape[1]))
-        generator[:r, r:2 * r] = np.eye(r)
-        generator[r:2 * r] = np.linalg.solve(M, rates)
-        step = expm(h * generator)[:2 * r]
-    return step[:, :2 * r], step[:, 2 * r:-1], step[:, -1]
 
 
 class PlantLinearization:
@@ -118,65 +69,58 @@ class PlantLinearization:
         self.plant, self.modes, self.points, self.tolerance = plant, modes, int(points), float(tolerance)
         self.snapshots, self.blend, self.progress = int(snapshots), float(blend), bool(progress)
         self.process_noise, self.measurement_noise = float(process_noise), float(measurement_noise)
-        self.begin(0)
+        self.begin()
 
-    def begin(self, samples: int, outputs: Sequence[str] = ()) -> None:
-        """Forget all snapshots; `samples` controlled ones will be replayed, of these outputs of the plant."""
+    def begin(self, outputs: Sequence[str] = ()) -> None:
+        """Forget all runs; those to come have these outputs of the plant."""
         self._columns = [self.plant.output_names.index(name) for name in outputs]
-        self._every, self._seen, self._rows = max(-(-samples // self.snapshots), 1), 0, []
-        self._squared_error, self._squared_size = 0.0, 0.0
+        self._runs: list[list[np.ndarray]] = []
+        self._observed: list[np.ndarray] = []
 
-    def replay(self, segment: Segment) -> None:
-        """Run the plant through the core samples of a controlled segment; the first of a run starts from rest."""
+    def note(self, segment: Segment) -> None:
+        """The core samples of a segment are to be replayed, where it is controlled; the first of a run from rest."""
         if segment.kind != "controlled":
             return
-        if segment.index == 0:
-            self.plant.reset()
         core = slice(*segment.core)
-        state = self._state()
-        for u, y in zip(segment.input[core].numpy(), segment.observation[core].numpy()):
-            before, seen = state, self.plant.displacement[self._columns]
-            self._squared_error += ((seen - y) ** 2).sum()
-            self._squared_size += (y ** 2).sum()
-            self.plant.step(u)
-            state = self._state()
-            if self._seen % self._every == 0:
-                self._rows.append((*before, u, seen, *state))
-            self._seen += 1
-
-    @property
-    def replay_error(self) -> float:
-        """‖y of the plant − y of the data‖ / ‖y of the data‖ so far."""
-        return (self._squared_error / max(self._squared_size, 1e-300)) ** 0.5
+        if segment.index == 0:
+            self._runs.append([])
+        self._runs[-1].append(segment.input[core].numpy())
+        self._observed.append(segment.observation[core].numpy())
 
     def tables(self) -> dict[str, np.ndarray | float]:
-        """Everything that a `TPWL` holds, by name, and its width."""
-        q, v, u, y, q_next, v_next = (np.stack(column) for column in zip(*self._rows))
-        seen = Snapshots(q, v, u, y, q_next, v_next)
-        self.basis, self.captured = proper_orthogonal_modes(seen.displacement, self.modes)
-        z, following = (np.hstack([a @ self.basis, b @ self.basis]) for a, b in ((q, v), (q_next, v_next)))
-        points, (A, B, c), errors = self._along(seen, z, following)
+        """Everything that a `TPWL` holds, by name, and its width. `replay_error`: ‖y of the plant − y of the data‖ /
+        ‖y of the data‖.
+        """
+        runs, measured = [np.concatenate(run) for run in self._runs], np.concatenate(self._observed)
+        replay = replayed(self.plant, runs, self.snapshots, self.progress)
+        self.replay_error = float(np.linalg.norm(replay.outputs[:, self._columns] - measured)
+                                  / max(np.linalg.norm(measured), 1e-150))
+        seen = replay.snapshots
+        self.basis, self.captured = proper_orthogonal_modes(*replay.directions, self.modes)
+        z, following = (np.hstack([a @ self.basis, b @ self.basis]) for a, b in (
+            (seen.displacement, seen.velocity), (seen.next_displacement, seen.next_velocity)))
+        points, (A, B, c), errors = self._along(replay, z, following)
         C = np.hstack([self.plant.output_matrix @ self.basis, np.zeros_like(self.plant.output_matrix @ self.basis)])
         d = self.plant.resting[list(self.plant.markers.values())].ravel() - self.plant.rest
-        C, d = C[self._columns], d[self._columns]
+        C, d, y = C[self._columns], d[self._columns], seen.output[:, self._columns]
         unseen = y - z @ C.T - d
         measurement = unseen.T @ unseen / len(y) + self.measurement_noise ** 2 * np.eye(y.shape[1])
         return {"points": points, "A": A, "B": B, "c": c, "C": C, "d": d, "mean": z.mean(0),
                 "covariance": np.cov(z.T, bias=True), "process": self.process_noise * errors.T @ errors / len(errors),
                 "measurement": measurement, "state_scale": np.abs(z).max(0), "width": self.blend * _spacing(points)}
 
-    def _along(self, seen: Snapshots, z: np.ndarray, following: np.ndarray):
+    def _along(self, replay: Replay, z: np.ndarray, following: np.ndarray):
         """Points (N, r), their maps, and the one-step errors (S − N, 2r) of the snapshots in between."""
-        r = self.basis.shape[1]
+        r, inputs = self.basis.shape[1], replay.snapshots.input
         smallest = self.tolerance * np.sqrt((following[:, r:] ** 2).sum(1).mean())
         distances, errors = np.full(len(z), np.inf), np.empty_like(z)
         chosen, maps, worst = [], [], int((z[:, :r] ** 2).sum(1).argmin())
         for _ in tqdm(range(min(self.points, len(z))), desc="linearize", unit=" points", disable=not self.progress):
-            A, B, c = linearized_step(self.plant, seen.displacement[worst], seen.input[worst], self.basis)
+            A, B, c = linearized_step(self.plant, replay.projection(worst, r))
             distance = ((z[:, :r] - z[worst, :r]) ** 2).sum(1)
             nearer = distance < distances
             distances[nearer] = distance[nearer]
-            errors[nearer] = z[nearer] @ A.T + seen.input[nearer] @ B.T + c - following[nearer]
+            errors[nearer] = z[nearer] @ A.T + inputs[nearer] @ B.T + c - following[nearer]
             chosen.append(worst)
             maps.append((A, B, c))
             left = np.linalg.norm(errors[:, r:], axis=1)
@@ -186,11 +130,6 @@ class PlantLinearization:
                 break
         between = np.delete(errors, chosen, axis=0) if len(chosen) < len(z) else errors
         return z[chosen, :r], [np.stack(tables) for tables in zip(*maps)], between
-
-    def _state(self) -> tuple[np.ndarray, np.ndarray]:
-        sparsity = self.plant.structure.sparsity
-        velocities = self.plant.state[self.plant.positions.size:][:sparsity.size]
-        return sparsity.gather(self.plant.positions - self.plant.resting), velocities
 
 
 class TPWLFit(ModelFit):
@@ -217,14 +156,13 @@ class TPWLFit(ModelFit):
             raise ValueError(f"{self.trainer.world_size} processes; TPWL replays runs one after the other: use one "
                              "(trainer.devices=1)")
         check_plant(self.procedure.plant, self.card, self.model)
-        runs = [run for run in self.trainer.datamodule.training if run.kind == "controlled"]
-        if not runs:
+        if not any(run.kind == "controlled" for run in self.trainer.datamodule.training):
             raise ValueError("no controlled runs among the training data; TPWL linearizes the plant along them")
-        self.procedure.begin(sum(run.length for run in runs), self.card["output_names"])
+        self.procedure.begin(self.card["output_names"])
 
     @torch.no_grad()
     def training_step(self, segment: Segment, index: int) -> None:
-        self.procedure.replay(segment)
+        self.procedure.note(segment)
         if not self.trainer.is_last_batch:
             return
         self._take(self.procedure.tables())

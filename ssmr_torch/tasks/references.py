@@ -108,11 +108,17 @@ def ramped_phase(total: float, speed: float, ramp: float) -> tuple[Callable[[np.
                          f"more than the {total:.4g} in all; shorten the ramp or add laps")
     duration = total / speed + ramp
 
-    def phase(time):
+    def turned(time: float) -> float:
+        since = min(time, duration - time)
+        if since < ramp:
+            s = since / ramp
+            since = ramp * s**4 * (s * s - 3.0 * s + 2.5)
+        else:
+            since -= 0.5 * ramp
+        return speed * since if 2.0 * time <= duration else total - speed * since
+
+    def phase(time):  # number by number: of the few that a controller asks for, faster than a dozen array operations
         time = np.asarray(time, dtype=np.float64)
-        since = np.minimum(time, duration - time)
-        s = np.minimum(since / ramp, 1.0) if ramp > 0 else 1.0
-        turned = speed * (ramp * s**4 * (s * s - 3.0 * s + 2.5) + np.maximum(since - ramp, 0.0))
-        return np.where(2.0 * time <= duration, turned, total - turned)
+        return np.array([turned(t) for t in time.ravel().tolist()]).reshape(time.shape)
 
     return phase, duration

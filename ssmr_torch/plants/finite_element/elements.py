@@ -201,15 +201,11 @@ def add_frame_stiffness(positions, tetrahedra, gradients, volumes, rest_frames, 
         nodes, gradient, volume = tetrahedra[e], gradients[e], volumes[e]
         _gradient(positions, nodes, gradient, deformation)
         edge_frame(positions, nodes, frame)
-        rotation[:] = frame @ rest_frames[e].T
+        _product(frame, rest_frames[e].T, rotation)
         _corotational(deformation, rotation, lame, shear, stress)
         _frame_spin(positions, nodes, frame, spin)
         for k in range(3):
-            unit = np.zeros((3, 3))  # [e_k]×
-            unit[(k + 2) % 3, (k + 1) % 3], unit[(k + 1) % 3, (k + 2) % 3] = 1.0, -1.0
-            strain = rotation.T @ (unit @ deformation)
-            strain = -0.5 * (strain + strain.T)
-            change[:] = unit @ stress + rotation @ (2 * shear * strain + lame * np.trace(strain) * np.eye(3))
+            _turning(deformation, rotation, stress, k, lame, shear, change)
             for a in range(4):
                 for i in range(3):
                     turned[a, i, k] = volume * (change[i, 0] * gradient[a, 0] + change[i, 1] * gradient[a, 1]
@@ -217,10 +213,37 @@ def add_frame_stiffness(positions, tetrahedra, gradients, volumes, rest_frames, 
         for a in range(4):
             for b in range(3):
                 if places[e, a, b] >= 0:
-                    block = turned[a] @ spin[b]
+                    _product(turned[a], spin[b], change)
                     for j in range(3):
                         for i in range(3):
-                            data[places[e, a, b] + j * strides[e, b] + i] += block[i, j]
+                            data[places[e, a, b] + j * strides[e, b] + i] += change[i, j]
+
+
+@kernel
+def _product(left, right, product):
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = left[i, 0] * right[0, j] + left[i, 1] * right[1, j] + left[i, 2] * right[2, j]
+
+
+@kernel
+def _turning(deformation, rotation, stress, k, lame, shear, change):
+    """∂P = [e_k] P − R C:sym(Rᵀ [e_k] F), of the frame's turning about axis k."""
+    after, last = (k + 1) % 3, (k + 2) % 3
+    strain = np.empty((3, 3))
+    for i in range(3):
+        for j in range(i, 3):
+            strain[i, j] = strain[j, i] = 0.5 * (
+                rotation[after, i] * deformation[last, j] - rotation[last, i] * deformation[after, j]
+                + rotation[after, j] * deformation[last, i] - rotation[last, j] * deformation[after, i])
+    volumetric = lame * (strain[0, 0] + strain[1, 1] + strain[2, 2])
+    for i in range(3):
+        for j in range(3):
+            change[i, j] = volumetric * rotation[i, j] + 2 * shear * (
+                rotation[i, 0] * strain[0, j] + rotation[i, 1] * strain[1, j] + rotation[i, 2] * strain[2, j])
+    for j in range(3):
+        change[last, j] += stress[after, j]
+        change[after, j] -= stress[last, j]
 
 
 @kernel
