@@ -54,6 +54,14 @@ class ProxQP(Workspace):
         settings.eps_duality_gap_abs, settings.eps_duality_gap_rel = tolerance, ROUNDING
         settings.max_iter = settings.max_iter_in = self.max_iterations
 
+    def advance(self, variables: np.ndarray, rows: np.ndarray) -> None:
+        """A warm start lets variable i begin where variables[i] (d,) of the last program ended, and so the rows (r,)."""
+        if self._fresh or not self.warm:
+            return
+        results = self._workspace.results
+        z = results.z
+        results.x, results.z = results.x[variables], np.concatenate([z[rows], z[self.rows:][variables]])
+
     def _solve(self, problem: QuadraticProgram) -> QPSolution:
         solution = self._attempt(problem)
         if not solution.status.success:

@@ -187,6 +187,22 @@ def test_a_warm_start_needs_fewer_iterations_and_gives_the_same_solution():
     np.testing.assert_allclose(ours.x, theirs.x, atol=1e-8)
 
 
+def test_a_workspace_that_advances_starts_where_the_same_variables_ended():
+    """Here the next program is the last one with its variables and rows in another order."""
+    rng, solvers = np.random.default_rng(9), [ProxQP(D, ROWS, tolerance=1e-9) for _ in range(2)]
+    problem, variables, rows = random_problem(rng, ROWS), rng.permutation(D), rng.permutation(ROWS)
+    moved = QuadraticProgram(problem.H[np.ix_(variables, variables)], problem.g[variables], problem.lower[variables],
+                             problem.upper[variables], problem.C[np.ix_(rows, variables)], problem.row_lower[rows],
+                             problem.row_upper[rows])
+    solvers[0].advance(variables, rows)  # nothing to start from: nothing happens
+    first = [solver.solve(problem) for solver in solvers][0]
+    solvers[0].advance(variables, rows)
+    advanced, left = [solver.solve(moved) for solver in solvers]
+    assert advanced.iterations <= 2 < left.iterations
+    for solution in (advanced, left):
+        np.testing.assert_allclose(solution.x, first.x[variables], atol=1e-8)
+
+
 def test_the_arrays_of_the_problem_are_left_alone():
     problem = random_problem(np.random.default_rng(7), ROWS)
     before = [array.copy() for array in problem._parts()]
