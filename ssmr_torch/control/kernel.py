@@ -1,6 +1,6 @@
 """The compiled horizon of a polynomial model in continuous time: Runge-Kutta steps with their sensitivities.
 
-Each step carries W = [z, ∂z/∂z_0, ∂z/∂u].
+Each step carries z, ∂z/∂z_0 and ∂z/∂u.
 """
 
 from __future__ import annotations
@@ -15,15 +15,17 @@ from ssmr_torch.control.condensing import compiled, condensed
 class KernelTables(NamedTuple):
     """Coefficients of z^{0:d}, one column per monomial.
 
-    parent, variable: monomial 1 + n + i is monomial parent[i] times z[variable[i]].
+    parent, variable: monomial 1 + n + i is monomial parent[i] times z[variable[i]]; unsigned, which indexes faster.
     rate (n, ·), output (p, ·): dz/dt without input, and y.   rate_z (n n, ·), output_z (p n, ·): Jacobians.
-    field (n m, ·), field_z (m, n n, ·): the control field, and its Jacobian for each input.
+    rate_u (n m, ·): ∂(dz/dt)/∂u.   field (m, n, ·), field_z (m, n n, ·): what each input adds to rate
+    and rate_z.
     """
 
     parent: np.ndarray
     variable: np.ndarray
     rate: np.ndarray
     rate_z: np.ndarray
+    rate_u: np.ndarray
     field: np.ndarray
     field_z: np.ndarray
     output: np.ndarray
@@ -41,13 +43,13 @@ def tables_of(model) -> KernelTables:
         parents.append(parent + offset)
         variables.append(variable)
         offset += parent.max() + 1
-    field = model.control.reshape(n, -1, m).transpose(0, 2, 1)
-    field_z = np.stack([derivative_table(field[:, j, 1:], model.control_monomials) for j in range(m)])
+    field = np.ascontiguousarray(model.control.reshape(n, -1, m).transpose(2, 0, 1))
+    field_z = np.stack([derivative_table(field[j, :, 1:], model.control_monomials) for j in range(m)])
     rate, rate_z = np.insert(model.drift, 0, 0.0, axis=1), derivative_table(model.drift, model.drift_monomials)
     newest = model.parametrization[-p:]
     return KernelTables(
-        np.concatenate(parents), np.concatenate(variables), _widened(rate, field.shape[-1]),
-        _widened(rate_z, field_z.shape[-1]), field.reshape(n * m, -1), field_z,
+        *(np.concatenate(part).astype(np.uint32) for part in (parents, variables)), _widened(rate, field.shape[-1]),
+        _widened(rate_z, field_z.shape[-1]), field.transpose(1, 0, 2).reshape(n * m, -1), field, field_z,
         np.insert(newest, 0, 0.0, axis=1), derivative_table(newest, model.parametrization_monomials),
         model.timestep, model.substeps)
 
@@ -67,121 +69,134 @@ def _widened(table: np.ndarray, columns: int) -> np.ndarray:
 
 @compiled
 def table_product(table, powers, out):
-    """out = table · powers, for as many powers as the table has columns."""
-    for i in range(table.shape[0]):
-        total = 0.0
-        for q in range(table.shape[1]):
-            total += table[i, q] * powers[q]
-        out[i] = total
+    """out = table · powers, for as many powers as the table has columns; four rows at a time share their loads."""
+    rows, columns = table.shape
+    whole = rows - rows % 4
+    for i in range(0, whole, 4):
+        a, b, c, d = 0.0, 0.0, 0.0, 0.0
+        for q in range(columns):
+            x = powers[q]
+            a += table[i, q] * x
+            b += table[i + 1, q] * x
+            c += table[i + 2, q] * x
+            d += table[i + 3, q] * x
+        out[i], out[i + 1], out[i + 2], out[i + 3] = a, b, c, d
+    for i in range(whole, rows):
+        a = 0.0
+        for q in range(columns):
+            a += table[i, q] * powers[q]
+        out[i] = a
 
 
 @compiled
-def _powers(z, tables, out):
-    """out = z^{0:d}."""
-    n = len(z)
+def powers_of(x, parent, variable, out):
+    """out = x^{0:d}; see `KernelTables` for parent and variable."""
     out[0] = 1.0
-    for i in range(n):
-        out[1 + i] = z[i]
-    for i in range(len(tables.parent)):
-        out[n + 1 + i] = out[tables.parent[i]] * z[tables.variable[i]]
+    for i in range(len(x)):
+        out[1 + i] = x[i]
+    for i in range(len(parent)):
+        out[1 + len(x) + i] = out[parent[i]] * x[variable[i]]
 
 
 @compiled
-def _hold_input(u, tables, rate, rate_z):
-    """Tables of the rate and of its Jacobian while the input u is held."""
-    m = len(u)
-    for i in range(rate.shape[0]):
-        for q in range(tables.field.shape[1]):
-            rate[i, q] = tables.rate[i, q]
-            for j in range(m):
-                rate[i, q] += tables.field[i * m + j, q] * u[j]
-    for i in range(rate_z.shape[0]):
-        for q in range(tables.field_z.shape[2]):
-            rate_z[i, q] = tables.rate_z[i, q]
-            for j in range(m):
-                rate_z[i, q] += tables.field_z[j, i, q] * u[j]
+def _held(table, field, u, out):
+    """out = table while the input u is held: its first columns with Σ_j u_j field_j added, field (m, rows, ·)."""
+    out[:] = table
+    for j in range(field.shape[0]):
+        for i in range(field.shape[1]):
+            for q in range(field.shape[2]):
+                out[i, q] += u[j] * field[j, i, q]
 
 
 @compiled
-def _stage(W, tables, rate, rate_z, powers, K):
-    """K = dW/dt for W = [z, ∂z/∂z_0, ∂z/∂u]: [f, F ∂z/∂z_0, F ∂z/∂u + G], or f alone where W is z alone."""
-    n, columns = W.shape
-    _powers(W[:, 0], tables, powers)
-    k = np.empty(n)
-    table_product(rate, powers, k)
-    for i in range(n):
-        K[i, 0] = k[i]
-    if columns == 1:
-        return
-    m = columns - 1 - n
-    F, G = np.empty(n * n), np.empty(n * m)
-    table_product(rate_z, powers, F)
-    table_product(tables.field, powers, G)
-    for i in range(n):
-        for j in range(n):
-            K[i, 1 + j] = 0.0
-        for j in range(m):
-            K[i, 1 + n + j] = G[i * m + j]
-        for r in range(n):
-            for j in range(1, columns):
-                K[i, j] += F[i * n + r] * W[r, j]
+def _reach(x, start, total, k, stage, h):
+    """x of the next of four stages, or after the last the new x; total gathers the rates k."""
+    share, reach = 1.0 if stage % 3 == 0 else 2.0, h if stage == 2 else 0.5 * h
+    for i in range(len(x)):
+        total[i] += share * k[i]
+        x[i] = start[i] + (reach * k[i] if stage < 3 else h / 6.0 * total[i])
 
 
 @compiled
-def _step(W, u, tables, rate, rate_z, powers):
-    """W = [z, ∂z/∂z_0, ∂z/∂u] one timestep later, in place: Runge-Kutta of order four with the input held."""
-    _hold_input(u, tables, rate, rate_z)
-    h = tables.timestep / tables.substeps
-    start, total, K = np.empty_like(W), np.empty_like(W), np.empty_like(W)
-    for _ in range(tables.substeps):
-        start[:] = W
-        total[:] = 0.0
+def _advance(z, h, substeps, rate, parent, variable, powers, k, start, total):
+    """z one timestep later, in place: Runge-Kutta of order four with the input held."""
+    for _ in range(substeps):
+        start[:], total[:] = z, 0.0
         for stage in range(4):
-            _stage(W, tables, rate, rate_z, powers, K)
-            share = 1.0 if stage == 0 or stage == 3 else 2.0
-            reach = h if stage == 2 else 0.5 * h
-            for i in range(W.shape[0]):
-                for j in range(W.shape[1]):
-                    total[i, j] += share * K[i, j]
-                    W[i, j] = start[i, j] + (reach * K[i, j] if stage < 3 else h / 6.0 * total[i, j])
+            powers_of(z, parent, variable, powers)
+            table_product(rate, powers, k)
+            _reach(z, start, total, k, stage, h)
 
 
 @compiled
 def rollout(state, inputs, tables):
     """States (N+1, n) and outputs (N, p) from state (n,) under inputs (N, m)."""
+    parent, variable, free, _, _, field, _, output, _, timestep, substeps = tables
     N, n = len(inputs), len(state)
-    states, outputs = np.empty((N + 1, n)), np.empty((N, tables.output.shape[0]))
-    rate, rate_z = tables.rate.copy(), np.empty((0, 0))
-    powers, W = np.empty(1 + n + len(tables.parent)), np.empty((n, 1))
+    states, outputs = np.empty((N + 1, n)), np.empty((N, output.shape[0]))
+    rate, powers, work = np.empty_like(free), np.empty(1 + n + len(parent)), np.empty((3, n))
+    k, start, total = work[0], work[1], work[2]
     states[0] = state
-    for k in range(N):
-        W[:, 0] = states[k]
-        _step(W, inputs[k], tables, rate, rate_z, powers)
-        states[k + 1] = W[:, 0]
-        _powers(states[k + 1], tables, powers)
-        table_product(tables.output, powers, outputs[k])
+    for step in range(N):
+        z = states[step + 1]
+        z[:] = states[step]
+        _held(free, field, inputs[step], rate)
+        _advance(z, timestep / substeps, substeps, rate, parent, variable, powers, k, start, total)
+        powers_of(z, parent, variable, powers)
+        table_product(output, powers, outputs[step])
     return states, outputs
+
+
+@compiled
+def _rates(z, S, rate, rate_z, rate_u, parent, variable, powers, k, F, G, K):
+    """k = dz/dt (n,) and K = dS/dt = F S + [0, G] of S = [∂z/∂z_0, ∂z/∂u], (n, n + m)."""
+    n, columns = S.shape
+    m = columns - n
+    powers_of(z, parent, variable, powers)
+    table_product(rate, powers, k)
+    table_product(rate_z, powers, F)
+    table_product(rate_u, powers, G)
+    for i in range(n):
+        for j in range(n):
+            K[i, j] = 0.0
+        for j in range(m):
+            K[i, n + j] = G[i * m + j]
+        for r in range(n):
+            f = F[i * n + r]
+            for j in range(columns):
+                K[i, j] += f * S[r, j]
 
 
 @compiled
 def linearize(state, inputs, tables):
     """States (N+1, n), outputs (N, p), A (N, n, n), B (N, n, m) of every step, C (N, p, n) of the output after it."""
-    N, m = inputs.shape
-    n, p = len(state), tables.output.shape[0]
+    parent, variable, free, free_z, rate_u, field, field_z, output, output_z, timestep, substeps = tables
+    (N, m), n, p, h = inputs.shape, len(state), output.shape[0], timestep / substeps
     states, outputs = np.empty((N + 1, n)), np.empty((N, p))
     A, B, C = np.empty((N, n, n)), np.empty((N, n, m)), np.empty((N, p, n))
-    rate, rate_z, powers = tables.rate.copy(), tables.rate_z.copy(), np.empty(1 + n + len(tables.parent))
-    W = np.zeros((n, 1 + n + m))
+    rate, rate_z, powers = np.empty_like(free), np.empty_like(free_z), np.empty(1 + n + len(parent))
+    k, F, G = np.empty(n), np.empty(n * n), np.empty(n * m)
+    start, total, work = np.empty(n), np.empty(n), np.empty((4, n * (n + m)))
+    S_start, S_total, flat_S, flat_K = work[0], work[1], work[2], work[3]
+    S, K, C_rows = flat_S.reshape(n, n + m), flat_K.reshape(n, n + m), C.reshape(N, p * n)
     states[0] = state
-    for k in range(N):
-        W[:] = 0.0
+    for step in range(N):
+        z = states[step + 1]
+        z[:], S[:] = states[step], 0.0
         for i in range(n):
-            W[i, 0], W[i, 1 + i] = states[k, i], 1.0
-        _step(W, inputs[k], tables, rate, rate_z, powers)
-        states[k + 1], A[k], B[k] = W[:, 0], W[:, 1:1 + n], W[:, 1 + n:]
-        _powers(states[k + 1], tables, powers)
-        table_product(tables.output, powers, outputs[k])
-        table_product(tables.output_z, powers, C[k].reshape(-1))
+            S[i, i] = 1.0
+        _held(free, field, inputs[step], rate)
+        _held(free_z, field_z, inputs[step], rate_z)
+        for _ in range(substeps):
+            start[:], total[:], S_start[:], S_total[:] = z, 0.0, flat_S, 0.0
+            for stage in range(4):
+                _rates(z, S, rate, rate_z, rate_u, parent, variable, powers, k, F, G, K)
+                _reach(z, start, total, k, stage, h)
+                _reach(flat_S, S_start, S_total, flat_K, stage, h)
+        A[step], B[step] = S[:, :n], S[:, n:]
+        powers_of(z, parent, variable, powers)
+        table_product(output, powers, outputs[step])
+        table_product(output_z, powers, C_rows[step])
     return states, outputs, A, B, C
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ssmr_torch.control.condensing import compiled, condensed
-from ssmr_torch.control.kernel import derivative_table, table_product
+from ssmr_torch.control.kernel import derivative_table, powers_of, table_product
 
 
 class MapTables(NamedTuple):
@@ -68,17 +68,7 @@ def _parents(monomials) -> tuple[np.ndarray, np.ndarray]:
         parents.append(parent + offset)
         variables.append(variable)
         offset += parent.max() + 1
-    return np.concatenate(parents), np.concatenate(variables)
-
-
-@compiled
-def _powers(x, parent, variable, out):
-    """out = x^{0:d}."""
-    out[0] = 1.0
-    for i in range(len(x)):
-        out[1 + i] = x[i]
-    for i in range(len(parent)):
-        out[1 + len(x) + i] = out[parent[i]] * x[variable[i]]
+    return np.concatenate(parents).astype(np.uint32), np.concatenate(variables).astype(np.uint32)
 
 
 @compiled
@@ -114,10 +104,10 @@ def rollout_map(state, inputs, tables):
     for k in range(N):
         x[n:] = inputs[k]
         for _ in range(tables.repeats):
-            _powers(x, tables.parent, tables.variable, powers)
+            powers_of(x, tables.parent, tables.variable, powers)
             table_product(tables.advance, powers, x[:n])
         states[k + 1] = x[:n]
-        _powers(x[:n], tables.output_parent, tables.output_variable, seen)
+        powers_of(x[:n], tables.output_parent, tables.output_variable, seen)
         table_product(tables.output, seen, outputs[k])
     return states, outputs
 
@@ -136,12 +126,12 @@ def linearize_map(state, inputs, tables):
     for k in range(N):
         x[n:] = inputs[k]
         for repeat in range(tables.repeats):
-            _powers(x, tables.parent, tables.variable, powers)
+            powers_of(x, tables.parent, tables.variable, powers)
             table_product(tables.advance_x, powers, J)
             _chain(J, A[k], B[k], n, m, repeat == 0)
             table_product(tables.advance, powers, x[:n])
         states[k + 1] = x[:n]
-        _powers(x[:n], tables.output_parent, tables.output_variable, seen)
+        powers_of(x[:n], tables.output_parent, tables.output_variable, seen)
         table_product(tables.output, seen, outputs[k])
         table_product(tables.output_z, seen, C[k].reshape(-1))
     return states, outputs, A, B, C

@@ -8,7 +8,6 @@ import lightning
 import numpy as np
 from torch.utils.data import DataLoader, RandomSampler, Subset
 
-from ssmr_torch.data.held_out import HELD_OUT, hold_out
 from ssmr_torch.data.windows import NoisyWindows, RolloutDataset, SegmentDataset, SegmentShare, stack_rollouts
 from ssmr_torch.trajectory import TrajectoryDataset
 
@@ -17,8 +16,7 @@ class TrajectoryDataModule(lightning.LightningDataModule):
     """Segments for closed-form fits, rollouts for gradient fits, the same validation and test starts for both.
 
     Static set points are no dynamics; only a procedure that asks for them (`takes_static`) is served those of training.
-    validation_share: of every controlled training run, held out for validation. held_out: which part, see `hold_out`:
-    the "tail" when no run is marked "validation", or the "outermost" stretches besides those runs.
+    validation_share: tail of every controlled training run that is held out when no run is marked "validation".
     transient: s cut from the start of each training decay. rows: core samples per segment.
     rollout_horizon, validation_horizon: s. starts: seeded validation and test starts. batch_size: rollouts per step.
     decays, controlled_duration: how many of the training decays, and how many s of the controlled training, from its
@@ -32,7 +30,7 @@ class TrajectoryDataModule(lightning.LightningDataModule):
                  rows: int = 1024, rollout_horizon: float = 0.4, validation_horizon: float = 1.0, starts: int = 500,
                  batch_size: int = 64, stride: int = 5, seed: int = 0, num_workers: int = 0,
                  decays: int | None = None, controlled_duration: float | None = None, noise_std: float = 0.0,
-                 score_test: bool = True, held_out: str = "tail"):
+                 score_test: bool = True):
         super().__init__()
         if not 0 <= validation_share < 1:
             raise ValueError(f"validation_share is {validation_share}; expected 0 ≤ share < 1")
@@ -46,10 +44,7 @@ class TrajectoryDataModule(lightning.LightningDataModule):
         if not noise_std >= 0:
             raise ValueError(f"noise_std is {noise_std} m; expected zero or more")
         self.noise_std = float(noise_std)
-        if held_out not in HELD_OUT:
-            raise ValueError(f"held_out is {held_out!r}; expected one of {HELD_OUT}")
-        stretch = round(2 * self.validation_horizon / dataset.timestep)
-        training, self.validation = hold_out(dataset, validation_share, held_out, stretch)
+        training, self.validation = _hold_out(dataset, validation_share)
         training = _limited(training, decays, controlled_duration)
         self.training = tuple(_noisy(run, noise_std, (seed, number)) for number, run in enumerate(training))
         test = dataset.select(split="test") if score_test else ()
@@ -149,3 +144,22 @@ def _noisy(run, noise_std: float, seed: tuple[int, int]):
     whole = run.read()
     noise = np.random.default_rng(seed).normal(0.0, noise_std, whole.observation.shape)
     return replace(whole, observation=whole.observation + noise)
+
+
+def _hold_out(dataset: TrajectoryDataset, share: float) -> tuple[tuple, tuple]:
+    training, validation = (tuple(run for run in dataset.select(split=split) if run.kind != "static")
+                            for split in ("train", "validation"))
+    if validation or share == 0:
+        return training, validation
+    kept, held = [], []
+    for trajectory in training:
+        if trajectory.kind != "controlled":
+            kept.append(trajectory)
+            continue
+        boundary = round(trajectory.length * (1 - share))
+        if min(boundary, trajectory.length - boundary) < 2:
+            raise ValueError(f"trajectory {trajectory.name!r} has {trajectory.length} samples, too few to hold out a "
+                             f"share of {share}; set validation_share=0 or mark a run as validation")
+        kept.append(trajectory.part(0, boundary))
+        held.append(trajectory.part(boundary, trajectory.length))
+    return tuple(kept), tuple(held)
