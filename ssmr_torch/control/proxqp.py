@@ -55,7 +55,7 @@ class ProxQP(Workspace):
         settings.max_iter = settings.max_iter_in = self.max_iterations
 
     def advance(self, variables: np.ndarray, rows: np.ndarray) -> None:
-        """Warm starts: variable i begins where variables[i] (d,) of the last program ended, row q where rows[q] (r,)."""
+        """Warm starts: variable i begins where variables[i] (d,) of the last program ended, and the rows (r,) alike."""
         if self._fresh or not self.warm:
             return
         results = self._workspace.results
