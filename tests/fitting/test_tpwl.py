@@ -13,7 +13,9 @@ from ssmr_torch.data.collection import ControlledRun, collect
 from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.data.excitation import SmoothRandom
 from ssmr_torch.data.windows import SegmentDataset
-from ssmr_torch.fitting.tpwl import PlantLinearization, TPWLFit, check_plant, linearized_step, proper_orthogonal_modes
+from ssmr_torch.fitting import replay
+from ssmr_torch.fitting.replay import Projection, linearized_step
+from ssmr_torch.fitting.tpwl import PlantLinearization, TPWLFit, check_plant, proper_orthogonal_modes
 from ssmr_torch.fitting.training import load_model, train
 from ssmr_torch.models.tpwl import TPWL
 from ssmr_torch.plants.finite_element.cables import Cables
@@ -82,9 +84,9 @@ def replayed(plant, dataset, **options):
     """The procedure after the training run, without a trainer."""
     runs = dataset.select("train")
     procedure = PlantLinearization(plant, **QUIET | options)
-    procedure.begin(sum(run.length for run in runs if run.kind == "controlled"), plant.output_names)
+    procedure.begin(plant.output_names)
     for segment in SegmentDataset(runs, before=0, after=0, rows=64):
-        procedure.replay(segment)
+        procedure.note(segment)
     return procedure
 
 
@@ -100,7 +102,7 @@ def test_at_its_point_the_linearized_step_is_the_plants_step_whatever_velocity_a
     size = plant.structure.sparsity.size
     plant.settle([0.6, 0.2])
     displacement = moved(plant)[0]
-    A, B, c = linearized_step(plant, displacement, np.array([0.6, 0.2]), np.eye(size))
+    A, B, c = linearized_step(plant, Projection.of(plant, displacement, np.array([0.6, 0.2]), np.eye(size)))
     for _ in range(3):
         velocity, u = 0.05 * rng.normal(size=size), rng.uniform(0, 1, 2)
         plant.reset(state=full_state(plant, displacement, velocity))
@@ -115,7 +117,7 @@ def test_at_an_equilibrium_the_linearized_step_is_the_derivative_of_the_plants_s
     plant.settle(u)
     displacement = moved(plant)[0]
     size = len(displacement)
-    A, B, _ = linearized_step(plant, displacement, u, np.eye(size))
+    A, B, _ = linearized_step(plant, Projection.of(plant, displacement, u, np.eye(size)))
 
     def step(x, input):
         plant.reset(state=full_state(plant, x[:size], x[size:]))
@@ -137,7 +139,7 @@ def test_at_an_equilibrium_the_linearized_step_is_the_derivative_of_the_plants_s
 def test_at_rest_the_full_map_has_the_plants_slowest_eigenvalues(law, scheme):
     plant = arm(law, scheme)
     size = plant.structure.sparsity.size
-    A, _, _ = linearized_step(plant, np.zeros(size), np.zeros(2), np.eye(size))
+    A, _, _ = linearized_step(plant, Projection.of(plant, np.zeros(size), np.zeros(2), np.eye(size)))
     found = np.log(np.linalg.eigvals(A).astype(complex)) / plant.timestep
     for expected in plant.eigenvalues[:6]:
         assert np.abs(found - expected).min() < 1e-6 * np.abs(expected)
@@ -148,7 +150,7 @@ def test_in_any_basis_an_equilibrium_of_the_plant_is_one_of_its_linearized_step(
     plant.settle(u)
     displacement = moved(plant)[0]
     basis = np.linalg.qr(np.random.default_rng(2).normal(size=(len(displacement), 3))).Q
-    A, B, c = linearized_step(plant, displacement, u, basis)
+    A, B, c = linearized_step(plant, Projection.of(plant, displacement, u, basis))
     z = np.concatenate([basis.T @ displacement, np.zeros(3)])
     np.testing.assert_allclose(A @ z + B @ u + c, z, rtol=0, atol=1e-9 * np.abs(z).max())
 
@@ -157,15 +159,16 @@ def test_the_modes_are_orthonormal_and_as_many_as_the_variance_asks_for():
     rng = np.random.default_rng(3)
     left, right = np.linalg.qr(rng.normal(size=(30, 4))).Q, np.linalg.qr(rng.normal(size=(12, 4))).Q
     snapshots = left @ np.diag([10.0, 3.0, 1.0, 0.1]) @ right.T
+    decomposition = np.linalg.svd(snapshots, full_matrices=False)[1:]
     for rule, size in ((2, 2), ("variance:0.9", 1), ("variance:0.95", 2), ("variance:0.999", 3),
                        ("variance:0.99995", 4)):
-        basis, captured = proper_orthogonal_modes(snapshots, rule)
+        basis, captured = proper_orthogonal_modes(*decomposition, rule)
         assert basis.shape == (12, size)
         np.testing.assert_allclose(basis.T @ basis, np.eye(size), atol=1e-13)
         np.testing.assert_allclose(basis @ (basis.T @ right[:, :size]), right[:, :size], atol=1e-12)
         np.testing.assert_allclose(captured[:3], np.cumsum([100, 9, 1]) / 110.01, rtol=1e-12)
-    with pytest.raises(ValueError, match="5 modes are asked for, but the 30 snapshots span 4 directions"):
-        proper_orthogonal_modes(snapshots, 5)
+    with pytest.raises(ValueError, match="5 modes are asked for, but the snapshots span 4 directions"):
+        proper_orthogonal_modes(*decomposition, 5)
 
 
 @pytest.mark.parametrize(("modes", "error"), [(8, 1e-3), (25, 1e-6), (46, 1e-9)])
@@ -188,30 +191,50 @@ def test_each_point_is_where_the_model_before_it_was_worst_and_the_errors_fall(p
 
 
 def test_memory_is_bounded_by_the_snapshots_asked_for(plant, dataset):
-    procedure = replayed(plant, dataset, snapshots=30, points=10, modes=5)
-    assert len(procedure._rows) == 25
-    assert procedure.tables()["C"].shape == (6, 10)
+    run = dataset.select("train", "controlled")[0].read()
+    found = replay.Replay(plant, [run.input], 30)
+    assert found.snapshots.displacement.shape == (25, plant.structure.sparsity.size)
+    assert replayed(plant, dataset, snapshots=30, points=10, modes=5).tables()["C"].shape == (6, 10)
+    np.testing.assert_allclose(found.outputs, run.observation, rtol=0, atol=1e-12)
 
 
 def test_the_outputs_are_the_plants_and_the_filter_expects_what_the_modes_cannot_show(plant, dataset):
     procedure = replayed(plant, dataset, modes=8, points=20, measurement_noise=1e-4)
     tables = procedure.tables()
-    z = np.concatenate([procedure.basis.T @ procedure._rows[40][0], np.zeros(8)])
+    snapshots = replay.Replay(plant, [dataset.select("train", "controlled")[0].input], 1200).snapshots
+    z = np.concatenate([procedure.basis.T @ snapshots.displacement[40], np.zeros(8)])
     seen, unseen = tables["C"] @ z + tables["d"], np.sqrt(np.diag(tables["measurement"]))
-    assert (unseen >= 1e-4).all() and (np.abs(seen - procedure._rows[40][3]) < 10 * unseen).all()
+    assert (unseen >= 1e-4).all() and (np.abs(seen - snapshots.output[40]) < 10 * unseen).all()
 
 
 def test_data_may_show_fewer_outputs_than_the_plant_has_in_another_order(plant, dataset):
     names = ("middle_z", "tip_x")
     part = PlantLinearization(plant, modes=8, points=20, **QUIET)
-    part.begin(100, names)
+    part.begin(names)
     for segment in SegmentDataset(dataset.observing(names).select("train"), before=0, after=0, rows=64):
-        part.replay(segment)
+        part.note(segment)
     found, whole = part.tables(), replayed(plant, dataset, modes=8, points=20).tables()
     columns = [plant.output_names.index(name) for name in names]
     assert part.replay_error < 1e-10
     for table in ("C", "d"):
         np.testing.assert_array_equal(found[table], whole[table][columns])
+
+
+def test_a_robot_with_parameters_is_replayed_once_for_all_settings_of_the_fit_and_anew_for_others(dataset, monkeypatch):
+    driven = []
+    monkeypatch.setattr(FiniteElementRobot, "reset", lambda robot: driven.append(robot))
+    monkeypatch.setattr(replay, "_latest", {})
+    expected = [replayed(arm(), dataset, modes=modes, points=20).tables() for modes in (12, 8)]
+    del driven[:]
+    for parameters, runs in (({}, 1), ({}, 1), ({"young": 1e5}, 2)):
+        for modes, tables in zip((12, 8), expected):
+            plant = arm()
+            plant.parameters = parameters
+            found = replayed(plant, dataset, modes=modes, points=20).tables()
+            for name, table in tables.items():
+                scale = np.abs(table).max() + 1e-300
+                np.testing.assert_allclose(found[name] / scale, table / scale, rtol=0, atol=1e-12, err_msg=name)
+        assert len(driven) == runs
 
 
 @pytest.fixture(scope="module")
