@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import lightning
 import torch
@@ -50,11 +51,15 @@ class ModelFit(lightning.LightningModule):
     start diverges, which …/diverged counts); …/rmse_median: their median; …/rmse_50ms and …/rmse_200ms: the mean over
     the first part of the same rollouts; …/relative: geometric mean over these horizons of the error divided by that of
     persistence, ŷ_k = y_0, in which short and long horizons count alike.
+    overdrive: the validation rollouts are repeated with their inputs multiplied by it, where it is not 1; the share
+    that diverges is validation/overdriven, and validation/relative is infinite where any does. What was measured says
+    nothing of what lies beyond it, but that a robot stays finite there is known.
     selects: whether the fit keeps its best epoch by validation error, and is undone where none is better than its
     start; otherwise its last epoch is kept.
     """
 
     selects = False
+    overdrive = 1.0
 
     def __init__(self, model: ReducedModel):
         super().__init__()
@@ -86,6 +91,10 @@ class ModelFit(lightning.LightningModule):
                 values[f"rmse_{label}"] = running[..., steps - 1].mean()
                 ratios.append(values[f"rmse_{label}"] / still[..., steps - 1].mean())
         values["relative"] = torch.stack(ratios).log().mean().exp()
+        if split == "validation" and self.overdrive != 1.0:
+            stressed = replace(batch, inputs=self.overdrive * batch.inputs)
+            values["overdriven"] = rollout_errors(self.model, stressed)[..., -1].isinf().double().mean()
+            values["relative"] = torch.where(values["overdriven"] > 0, torch.inf, values["relative"])
         self.log_dict({f"{split}/{name}": value for name, value in values.items()}, batch_size=len(errors),
                       prog_bar=split == "validation")
 

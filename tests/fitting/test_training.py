@@ -246,6 +246,31 @@ def test_the_score_of_a_model_that_diverges_is_infinite_and_its_share_is_counted
     assert rollout_errors(constant_model(5.0), still(1, horizon=5))[:, -1].isinf().all()
 
 
+def test_a_model_that_diverges_under_inputs_stronger_than_recorded_scores_infinite_where_that_is_asked(tmp_path):
+    """dz/dt = (u − 2) z decays under the recorded u = 1.5 and grows beyond all bounds under twice that."""
+    model = SSMR(1, 1, 1, 0, control_degree=1, timestep=0.1, substeps=10)
+    with torch.no_grad():
+        model.chart[0, 0] = model.parametrization[0, 0] = 1.0
+        model.drift_table[0, 0], model.control_table[0, 1] = -2.0, 1.0
+        model.state_scale.fill_(1.0)
+    batch = still(4, horizon=30)
+    batch.inputs.fill_(1.5)
+    batch.outputs.fill_(0.5)
+
+    class Driven(lightning.LightningDataModule):
+        def val_dataloader(self):
+            return torch.utils.data.DataLoader([batch], batch_size=None)
+
+    trainer, fit = TRAINER(logger=False, default_root_dir=tmp_path), ModelFit(model)
+    (plain,) = trainer.validate(fit, Driven(), verbose=False)
+    assert "validation/overdriven" not in plain and plain["validation/diverged"] == 0
+    for factor, share, relative in ((1.3, 0.0, plain["validation/relative"]), (2.0, 1.0, np.inf)):
+        fit.overdrive = factor
+        (scores,) = trainer.validate(fit, Driven(), verbose=False)
+        assert scores["validation/overdriven"] == share and scores["validation/rmse"] == plain["validation/rmse"]
+        assert scores["validation/relative"] == relative > 0
+
+
 def perturbed(model, share=0.03):
     """The model with every coefficient of its dynamics off by up to this share."""
     other = SSMR.from_tables(model.tables())
