@@ -44,7 +44,7 @@ class PlantLinearization:
 
     modes: number, or "variance:0.9999", see `proper_orthogonal_modes`. points: at most; the next one is the snapshot
     whose velocity after one step the model so far predicts worst, until that error is below `tolerance` times the rms
-    velocity. snapshots: kept at most, evenly spaced, so that memory does not grow with the data.
+    velocity. snapshots: kept at most, evenly spaced, as full states are large.
     blend: width of the model over the median distance of a point from its nearest neighbour; 0: nearest point.
     process_noise: factor of the covariance of the one-step errors, which the filter takes for process noise.
     measurement_noise: standard deviation of each output, m, to which what the modes cannot show is added.
