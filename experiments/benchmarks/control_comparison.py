@@ -2,7 +2,8 @@
 
 The instance of control_step.py, the same noise for each, one process, set OMP_NUM_THREADS=1. Times are CPU time of the
 calling thread per control step, from the measurement to the input; where the wall time is much longer, the machine was
-busy or the solver worked in other threads. The cost is that of the plant in closed loop.
+busy or the solver worked in other threads. Behind "qp:prepared" the step begins where the program is linearized and
+condensed, as `prepare` does on a robot between two measurements. The cost is that of the plant in closed loop.
 Needs `pip install 'ssmr_torch[benchmarks]'`; what is not installed is left out, and said.
 A short run: --horizons 5 --laps 1 --solvers proxqp ipopt.
 """
@@ -30,6 +31,7 @@ PRECISE = {
                "eps_duality_gap_abs": 1e-6, "eps_duality_gap_rel": 0.0},
     "clarabel": {"tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10},
 }
+PREPARED = ":prepared"  # linearized and condensed between two measurements, outside the step
 OTHERS = {"ipopt": ipopt, "casadi_rti": casadi_rti, "casadi_rti_c": partial(casadi_rti, compiled=True),
           "acados": Acados}
 LIBRARIES = {"ipopt": "casadi", "casadi_rti": "casadi", "casadi_rti_c": "casadi"}
@@ -53,8 +55,8 @@ def ours_through_qpsolvers(model, task, bounds, *, horizon: int, name: str) -> M
 
 def solvers() -> dict:
     """Name → build(model, task, bounds, horizon=N); ours first, to which the others are compared."""
-    found = {"proxqp": partial(ours, qp="proxqp"), "daqp": partial(ours, qp="daqp")} | OTHERS
-    return found | {f"qpsolvers:{name}": partial(ours_through_qpsolvers, name=name)
+    found = {f"{qp}{prepared}": partial(ours, qp=qp) for prepared in ("", PREPARED) for qp in ("proxqp", "daqp")}
+    return found | OTHERS | {f"qpsolvers:{name}": partial(ours_through_qpsolvers, name=name)
                     for name in sorted(qpsolvers.available_solvers)}
 
 
@@ -65,7 +67,7 @@ def compare(horizon: int, laps: float, chosen: list[str]) -> tuple[dict, dict]:
         warnings.filterwarnings("ignore", message="Converted matrix")
         for name in chosen:
             try:
-                results[name] = measure(horizon, laps, solvers()[name])
+                results[name] = measure(horizon, laps, solvers()[name], prepare=name.endswith(PREPARED))
             except Unavailable as reason:
                 skipped[name] = str(reason)
     return results, skipped
@@ -81,7 +83,8 @@ def row(name: str, result: dict, first: dict, optimum: dict | None) -> str:
 
 def libraries(names) -> list[str]:
     """The installed packages behind these solvers, for the header."""
-    behind = {LIBRARIES.get(name, name.removeprefix("qpsolvers:")) for name in names} - {"proxqp", "acados"}
+    behind = {LIBRARIES.get(name, name.removeprefix("qpsolvers:").removesuffix(PREPARED)) for name in names}
+    behind -= {"proxqp", "acados"}
     return ["numba", "proxsuite", "qpsolvers", *sorted(name for name in behind if find_spec(name))]
 
 

@@ -120,6 +120,29 @@ def tracking_cost(outputs, inputs, reference, weight, input_weight):
 
 
 @compiled
+def clipped(inputs, bounds):
+    """The inputs (N, m) moved into the bounds (2, m); what is not a number stays so."""
+    moved = inputs.copy()
+    for k in range(inputs.shape[0]):
+        for j in range(inputs.shape[1]):
+            if moved[k, j] < bounds[0, j]:
+                moved[k, j] = bounds[0, j]
+            elif moved[k, j] > bounds[1, j]:
+                moved[k, j] = bounds[1, j]
+    return moved
+
+
+@compiled
+def continues(reference, former, tolerance):
+    """Whether no entry of ŷ_1 … ŷ_{N−1} differs by more from that planned for the same time, the former ŷ_2 … ŷ_N."""
+    for k in range(len(reference) - 1):
+        for o in range(reference.shape[1]):
+            if not abs(reference[k, o] - former[k + 1, o]) <= tolerance:
+                return False
+    return True
+
+
+@compiled
 def output_rows(Y, outputs, v, normals, offsets, length):
     """Rows C (N r, N m) and lower bounds (N r,) of normalᵀ (y + Y Δv) ≥ offset, in units of `length`, over v + Δv.
 

@@ -167,7 +167,7 @@ def horizon_for(model, problem: TrackingProblem) -> Horizon:
     if getattr(model, "affine", False):
         return LinearHorizon(model, problem)
     if all(isinstance(getattr(model, name, None), np.ndarray) for name in POLYNOMIAL):
-        return CompiledHorizon(model, problem, kernel.tables_of(model), kernel.rollout, kernel.condense)
+        return CompiledHorizon(model, problem, tuple(kernel.tables_of(model)), kernel.rollout, kernel.condense)
     if hasattr(model, "dynamics_monomials"):
         tables = map_kernel.map_tables(model, model.repeats)
         return CompiledHorizon(model, problem, tables, map_kernel.rollout_map, map_kernel.condense_map)

@@ -8,6 +8,7 @@ from math import isfinite, sqrt
 import numpy as np
 
 from ssmr_torch.control.base import Command, whole_steps
+from ssmr_torch.control.condensing import continues
 from ssmr_torch.control.constraints import constraints_of
 from ssmr_torch.control.estimation import ChartEstimator
 from ssmr_torch.control.horizon import horizon_for
@@ -167,16 +168,16 @@ class ModelPredictiveController:
     def _decide(self, time: float) -> Command:
         state, self.horizon.input_offset, self.horizon.output_offset = self.estimator.state()
         plan = None
+        if self._age:
+            state = self._bridged(state)
         if self._frozen:
             status = Status.FROZEN_SENSOR
-        elif not (np.isfinite(state).all() and isfinite(time)):
-            status = Status.NOT_FINITE
+        elif isfinite(time) and sqrt(state @ state) <= self._largest_norm:
+            plan = self._solve(time, state)
+            status = plan.qp_status
         else:
-            if self._age:
-                state = self._bridged(state)
-            believed = sqrt(state @ state) <= self._largest_norm
-            plan = self._solve(time, state) if believed else None
-            status = Status.OUT_OF_RANGE if plan is None else plan.qp_status
+            known = isfinite(time) and np.isfinite(state).all()
+            status = Status.OUT_OF_RANGE if known else Status.NOT_FINITE
         if not status.success:
             return self._fall_back(time, plan, status)
         self._plan, self._planned_now, self._prepared = plan, True, None
@@ -196,7 +197,7 @@ class ModelPredictiveController:
         else:
             guess = self._plan.shifted(steps)
         reference = self.problem.reference_ahead(time)
-        continued = self._planned_now and steps == 1 and self._continues(reference)
+        continued = self._planned_now and steps == 1 and continues(reference, self._plan.reference, REFERENCE_CHANGE)
         iterations = self.iterations if continued else max(self.iterations, self.first_iterations)
         prepared = None
         if continued and self._prepared is not None and abs(self._prepared[0] - time) < 0.1 * self.period:
@@ -212,9 +213,6 @@ class ModelPredictiveController:
         steps = (time - self._plan.time) / self.period
         inside = abs(steps - round(steps)) < 0.1 and 0 < round(steps) < self.problem.horizon
         return round(steps) if inside else None
-
-    def _continues(self, reference: np.ndarray) -> bool:
-        return np.abs(reference[:-1] - self._plan.reference[1:]).max(initial=0.0) <= REFERENCE_CHANGE
 
     def _fall_back(self, time: float, plan: Plan | None, status: Status) -> Command:
         self.fallbacks[status] += 1

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ssmr_torch.control.condensing import tracking_cost
+from ssmr_torch.control.condensing import clipped, tracking_cost
 from ssmr_torch.control.constraints import OutputConstraints
 
 # 100 per mm² and 1e-5 per mN², the authors' weights, in SI units.
@@ -136,7 +136,7 @@ class TrackingProblem:
 
     def admissible(self, inputs: np.ndarray, last_input: np.ndarray | None = None) -> np.ndarray:
         """The sequence (K, m) moved into the bounds, and each input within reach of the one before."""
-        inputs = np.minimum(np.maximum(inputs, self.input_bounds[0]), self.input_bounds[1])
+        inputs = clipped(inputs, self.input_bounds)
         if self.input_step is not None:
             for k in range(len(inputs)):
                 before = inputs[k - 1] if k else last_input

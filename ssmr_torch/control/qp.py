@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -101,9 +102,13 @@ class QuadraticProgram:
     def _parts(self) -> tuple[np.ndarray, ...]:
         """All arrays, with rows of no length where there are none."""
         if self.C is None:
-            none = np.zeros(0)
-            return self.H, self.g, self.lower, self.upper, np.zeros((0, self.dim)), none, none
+            return self.H, self.g, self.lower, self.upper, *_no_rows(self.dim)
         return self.H, self.g, self.lower, self.upper, self.C, self.row_lower, self.row_upper
+
+
+@cache
+def _no_rows(dim: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return np.zeros((0, dim)), np.zeros(0), np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,8 +45,9 @@ class Plan:
 
     def shifted(self, steps: int = 1) -> np.ndarray:
         """The inputs from `steps` control steps later on, the last one repeated, (N, m)."""
-        steps = min(steps, len(self.inputs) - 1)
-        return np.concatenate([self.inputs[steps:], np.repeat(self.inputs[-1:], steps, axis=0)])
+        shifted, kept = np.empty_like(self.inputs), max(len(self.inputs) - steps, 1)
+        shifted[:kept], shifted[kept:] = self.inputs[-kept:], self.inputs[-1]
+        return shifted
 
 
 def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, guess: np.ndarray, solver, *,

@@ -9,6 +9,9 @@ import numpy as np
 
 from ssmr_torch.tasks.obstacles import Circle, HalfPlane
 
+# The frequencies of a figure eight: (−sin θ, sin 2θ) = sin(EIGHT · θ).
+EIGHT = np.array([-1.0, 2.0])
+
 
 @dataclass(frozen=True, eq=False)
 class Task:
@@ -43,8 +46,8 @@ class Task:
 
     def reference(self, time: np.ndarray) -> np.ndarray:
         """(K,) s → (K, q) m. Raises ValueError when the path returns another shape."""
-        time = np.atleast_1d(np.asarray(time, dtype=np.float64))
-        time = np.minimum(np.maximum(time, 0.0), self.duration)
+        time = np.asarray(time, dtype=np.float64)
+        time = np.minimum(np.maximum(time if time.ndim else time[None], 0.0), self.duration)
         reference = np.asarray(self.path(time), dtype=np.float64)
         if reference.shape != (len(time), len(self.tracked)):
             raise ValueError(f"the path of task {self.name!r} has shape {reference.shape}; expected "
@@ -75,9 +78,7 @@ def figure_eight(amplitude: float = 0.015, angular_speed: float = 4.0, laps: flo
     phase, duration = ramped_phase(2 * np.pi * laps, angular_speed, ramp)
 
     def path(time):
-        theta, trace = phase(time), np.empty((len(time), 2))
-        trace[:, 0], trace[:, 1] = -amplitude * np.sin(theta), amplitude * np.sin(2 * theta)
-        return trace
+        return amplitude * np.sin(np.multiply.outer(phase(time), EIGHT))
 
     return Task(name, duration, tuple(tracked), path, obstacles)
 
