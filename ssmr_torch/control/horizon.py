@@ -130,18 +130,13 @@ class LinearHorizon(LinearizedHorizon):
         repeated = [np.ascontiguousarray(np.broadcast_to(part, (N, *part.shape))) for part in (A, B, C)]
         self._Y, self._Z = condensing.sensitivities(*repeated, problem.input_scale)
         self._hessian = condensing.gauss_newton(self._Y, self._weight, self._R)
-        self._A, self._B, self._step = A, B, self._offset_states[1]
+        self._A, self._B, self._step = np.ascontiguousarray(A), B, self._offset_states[1]
         self._of_state = self._Z.reshape(-1, n)
         self._of_inputs = (self._Y.reshape(-1, N, m) / problem.input_scale).reshape(-1, N * m)
         self._offset = model.decode(self._offset_states[1:])
 
     def _rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        states = np.empty((len(inputs) + 1, len(state)))
-        states[0] = state
-        driven = inputs @ self._B.T + self._step
-        for k in range(len(inputs)):
-            np.dot(self._A, states[k], out=states[k + 1])
-            states[k + 1] += driven[k]
+        states = map_kernel.linear_states(state, inputs @ self._B.T + self._step, self._A)
         return states, self._outputs(state, inputs)
 
     def _outputs(self, state: np.ndarray, inputs: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The compiled horizons of models in discrete time: polynomial in state and input together, and bilinear.
+"""The compiled horizons of models in discrete time: polynomial in state and input together, bilinear, and linear.
 
 A step covers `repeats` applications of the map; its Jacobians follow by the chain rule.
 """
@@ -215,3 +215,15 @@ def condense_bilinear(state, inputs, acting, reference, tables, scale, weight, R
     """As `kernel.condense`."""
     states, outputs, A, B, C = linearize_bilinear(state, acting, tables)
     return states, outputs, *condensed(outputs, A, B, C, reference, inputs, scale, weight, R)
+
+
+@compiled
+def linear_states(state, driven, A):
+    """States (N+1, n) of z⁺ = A z + driven[k], driven (N, n)."""
+    states = np.empty((len(driven) + 1, len(state)))
+    states[0] = state
+    for k in range(len(driven)):
+        table_product(A, states[k], states[k + 1])
+        for i in range(len(state)):
+            states[k + 1, i] += driven[k, i]
+    return states

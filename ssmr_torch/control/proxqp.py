@@ -12,6 +12,8 @@ from ssmr_torch.status import Status
 
 # ProxQP counts bounds of this size as absent.
 INFINITY = 1e20
+# Penalty that each program starts with: fewer iterations than its own 0.1, and the hardest programs hardly get harder.
+PENALTY = 3e-2
 # How much stricter the second attempt is.
 RETRY_FACTOR = 1e-2
 
@@ -52,6 +54,7 @@ class ProxQP(Workspace):
         # Without its gap ProxQP calls points solved that keep a multiplier on a bound that they do not touch.
         settings.check_duality_gap = True
         settings.eps_duality_gap_abs, settings.eps_duality_gap_rel = tolerance, ROUNDING
+        settings.default_mu_in = PENALTY
         settings.max_iter = settings.max_iter_in = self.max_iterations
 
     def advance(self, variables: np.ndarray, rows: np.ndarray) -> None:

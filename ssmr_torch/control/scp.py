@@ -65,8 +65,8 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     """
     start = perf_counter()
     reference = problem.reference_ahead(time) if reference is None else reference
-    times = problem.times_ahead(time)
-    inputs = problem.admissible(np.array(guess, dtype=np.float64), last_input)
+    times = None if problem.constraints is None else problem.times_ahead(time)
+    inputs = problem.admissible(np.asarray(guess, dtype=np.float64), last_input)
     bounds = problem.scaled_bounds(last_input)
     solution, status, iterations = None, Status.ITERATION_LIMIT, 0
     if prepared is None:

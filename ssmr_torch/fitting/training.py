@@ -174,7 +174,7 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
                            monitor="validation/rmse" if validated and fit.selects else None,
                            save_on_train_epoch_end=not fit.selects or None)
     trainer = build_trainer(max_epochs=fit.epochs, callbacks=[keep], logger=loggers, num_sanity_val_steps=0,
-                            check_val_every_n_epoch=1 if fit.selects else fit.epochs)
+                            check_val_every_n_epoch=1 if fit.selects else fit.epochs + 1)  # it is scored below
     last = directory / "last.ckpt"
     before = {name: value.clone() for name, value in fit.model.state_dict().items()}
     bar = None
