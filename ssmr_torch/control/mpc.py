@@ -71,6 +71,7 @@ class ModelPredictiveController:
         self.horizon = horizon_for(model, self.problem)
         self.safe_input = self._safe_input(safe_input)
         self.solver = solver_named(qp, *self.problem.size) if solver is None else solver
+        self._advance = getattr(self.solver, "advance", None)
         self.iterations, self.first_iterations = int(iterations), int(first_iterations)
         self.tolerance, self.frozen_after = float(tolerance), int(frozen_after)
         self._largest_norm = float(range_factor) * float(np.linalg.norm(model.state_scale))
@@ -199,6 +200,8 @@ class ModelPredictiveController:
         reference = self.problem.reference_ahead(time)
         continued = self._planned_now and steps == 1 and continues(reference, self._plan.reference, REFERENCE_CHANGE)
         iterations = self.iterations if continued else max(self.iterations, self.first_iterations)
+        if continued and self._advance is not None:
+            self._advance(*self.problem.continuation)
         prepared = None
         if continued and self._prepared is not None and abs(self._prepared[0] - time) < 0.1 * self.period:
             prepared = self._prepared[1]

@@ -155,6 +155,20 @@ class TrackingProblem:
         rate = 0 if self.rate_rows is None else len(self.rate_rows[1])
         return self.horizon * self.input_dim + self.soft_rows, rate + self.soft_rows
 
+    @cached_property
+    def continuation(self) -> tuple[np.ndarray, np.ndarray]:
+        """A control step later: the variables and rows of the last program that those of the next one continue.
+
+        Each continues its like one stage on, and those of the last stage themselves.
+        """
+        def later(count: int, per_stage: int) -> np.ndarray:
+            return np.arange(count) + np.where(np.arange(count) + per_stage < count, per_stage, 0)
+
+        inputs, soft = self.horizon * self.input_dim, self.soft_rows
+        slacks, rate = later(soft, soft // self.horizon), self.size[1] - soft
+        return (np.concatenate([later(inputs, self.input_dim), inputs + slacks]),
+                np.concatenate([later(rate, self.input_dim), rate + slacks]))
+
     def times_ahead(self, time: float) -> np.ndarray:
         """Times of y_1 … y_N, (N,) s, seen from `time` in s."""
         return time + self._steps_ahead
