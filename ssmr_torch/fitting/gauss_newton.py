@@ -16,7 +16,8 @@ from ssmr_torch.models.base import ReducedModel
 
 LARGEST = 6000           # coefficients: the normal matrix then takes 0.3 GB
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-6, 1e4
-ROWS = 1 << 22           # numbers in a block of sensitivities
+ROWS = 1 << 22           # numbers in a block of J
+COLUMNS = 256            # of a block of H
 
 
 class LevenbergMarquardt(torch.optim.Optimizer):
@@ -43,9 +44,12 @@ class LevenbergMarquardt(torch.optim.Optimizer):
 
     def accumulate(self, jacobian: Tensor, residuals: Tensor) -> None:
         """Add rows: J (N, P) of the predictions, r (N,) = measured - predicted, both weighted."""
-        rows = jacobian.to(self.products)
-        self._normal += rows.T @ rows
         self._gradient.addmv_(jacobian.T, residuals)
+        rows = jacobian.to(self.products)
+        # H is symmetric, and its factorization reads what is on and above the diagonal alone
+        for first in range(0, rows.shape[1], COLUMNS):
+            block = slice(first, first + COLUMNS)
+            self._normal[block, first:] += rows[:, block].T @ rows[:, first:]
 
     @torch.no_grad()
     def step(self, closure: Callable[[], float]) -> float:
@@ -57,9 +61,9 @@ class LevenbergMarquardt(torch.optim.Optimizer):
         diagonal = normal.diagonal().clone()
         while self.damping <= LARGEST_DAMPING:
             normal.diagonal().copy_(diagonal + self.damping)
-            factor, failed = torch.linalg.cholesky_ex(normal)
+            factor, failed = torch.linalg.cholesky_ex(normal, upper=True)
             if not failed:
-                self._put(start + torch.cholesky_solve(gradient[:, None], factor)[:, 0] / scale)
+                self._put(start + torch.cholesky_solve(gradient[:, None], factor, upper=True)[:, 0] / scale)
                 self.project()
                 self.cost = closure()
                 if self.cost < before and self.acceptable():
@@ -137,18 +141,24 @@ class GaussNewtonFit(ModelFit):
         if self._weights is None:
             self._weights = self._first_weights(batch, steps)
         size = sum(table.numel() for table in coefficients(self.model, self.trained))
-        rows = max(ROWS // (size * self.model.state_dim), 1)
-        for first in range(0, len(batch.inputs), rows):
-            part = RolloutBatch(*(getattr(batch, name)[first:first + rows] for name in batch.__dataclass_fields__))
-            for found, weight in zip(rollout_sensitivities(self.model, part, steps, self.trained), self._weights):
-                residual = weight * (part.outputs[:, found.step - 1] - found.outputs).flatten()
-                jacobian = weight * found.jacobian.flatten(0, 1)
-                finite = torch.isfinite(residual) & torch.isfinite(jacobian).all(-1)
-                optimizer.optimizer.accumulate(jacobian[finite], residual[finite])
+        starts = max(ROWS // (size * self.model.output_dim * len(steps)), 1)
+        for first in range(0, len(batch.inputs), starts):
+            part = RolloutBatch(*(getattr(batch, name)[first:first + starts] for name in batch.__dataclass_fields__))
+            optimizer.optimizer.accumulate(*self._rows(part, steps))
         self._batches.append(batch)
         if self.trainer.is_last_batch:
             optimizer.step(closure=self._cost)
             self._finish(optimizer.optimizer)
+
+    def _rows(self, batch: RolloutBatch, steps: Sequence[int]) -> tuple[Tensor, Tensor]:
+        """Weighted J and r of these rollouts, without the rows of those that have diverged beyond numbers."""
+        jacobians, residuals = [], []
+        for found, weight in zip(rollout_sensitivities(self.model, batch, steps, self.trained), self._weights):
+            jacobians.append(found.jacobian.flatten(0, 1).mul_(weight))
+            residuals.append(weight * (batch.outputs[:, found.step - 1] - found.outputs).flatten())
+        jacobian, residual = torch.cat(jacobians), torch.cat(residuals)
+        finite = torch.isfinite(residual) & torch.isfinite(jacobian.sum(-1))
+        return (jacobian, residual) if finite.all() else (jacobian[finite], residual[finite])
 
     def _finish(self, optimizer: LevenbergMarquardt) -> None:
         self._batches.clear()

@@ -16,6 +16,7 @@ from ssmr_torch.data.windows import RolloutBatch
 from ssmr_torch.models.base import ReducedModel
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.integrators import rk4_step
+from ssmr_torch.models.monomial_features import MonomialFeatures
 from ssmr_torch.models.ssmr import SSMR
 
 GROUPS = ("dynamics", "chart", "parametrization")
@@ -79,21 +80,14 @@ def rollout_sensitivities(model: SSMR | ControlAugmentedSSMR, batch: RolloutBatc
     The sensitivities are those of the discretized model: Runge-Kutta stages are differentiated one by one.
     """
     taken, within = _steps(model, batch, max(steps)), _within(model)
-    chart_features = model.chart_regressors(batch.window, batch.window_inputs)
-    widths = [table.shape[1] for table in dynamics_tables(model)]
+    features = model.chart_regressors(batch.window, batch.window_inputs)
     for step in steps:
-        last = step * within
-        z = taken.states[:, last]
-        C, _ = model.linearize_output(z)
-        first, after = _adjoints(C, taken.transitions[:, :last])
-        parts = []
-        if "dynamics" in groups:
-            felt = (after @ taken.gains[:, :last].flatten(-2)).unflatten(-1, (-1, model.state_dim))
-            felt = felt.permute(0, 2, 4, 1, 3).flatten(3).flatten(1, 2)
-            for regressors in torch.split(taken.regressors[:, :last].flatten(1, 2), widths, dim=-1):
-                parts.append((felt @ regressors).view(len(z), model.output_dim, -1))
+        before = Steps(taken.states, *(part[:, :step * within] for part in taken[1:]))
+        z = taken.states[:, step * within]
+        first, after = _adjoints(model.linearize_output(z).C, before.transitions)
+        parts = _of_dynamics(model, after, before) if "dynamics" in groups else []
         if "chart" in groups:
-            parts.append((first[..., None] * chart_features[:, None, None]).flatten(-2))
+            parts.append((first[..., None] * features[:, None, None]).flatten(-2))
         if "parametrization" in groups:
             parts.append(_of_parametrization(model, z))
         yield OutputSensitivity(step, model.decode(z), torch.cat(parts, dim=-1))
@@ -115,23 +109,24 @@ def _within(model) -> int:
 def _steps(model, batch: RolloutBatch, count: int) -> Steps:
     """The integrator steps of a rollout over `count` timesteps."""
     inputs = batch.inputs[:, :count].repeat_interleave(_within(model), dim=1)
-    augmented, h = isinstance(model, ControlAugmentedSSMR), model.timestep / _within(model)
+    augmented = isinstance(model, ControlAugmentedSSMR)
     states = [model.encode(batch.window, batch.window_inputs)]
     for u in inputs.unbind(1):
-        states.append(model.advance(states[-1], u) if augmented
-                      else rk4_step(lambda z: model.rate(z, u), states[-1], h))
+        states.append(model.advance(states[-1], u) if augmented else
+                      rk4_step(lambda z: model.rate(z, u), states[-1], model.timestep / model.substeps))
     states = torch.stack(states, dim=1)
-    return Steps(states, *(_map_steps if augmented else _runge_kutta_steps)(model, states[:, :-1], inputs, h))
+    return Steps(states, *(_map_steps if augmented else _runge_kutta_steps)(model, states[:, :-1], inputs))
 
 
-def _map_steps(model: ControlAugmentedSSMR, z: Tensor, u: Tensor, h: float) -> tuple[Tensor, Tensor, Tensor]:
-    gain = h * torch.eye(model.state_dim, dtype=z.dtype, device=z.device)
-    return (model.advance_jacobians(z, u)[0], gain[:, None].expand(*z.shape, 1, -1),
-            model.dynamics_regressors(z, u)[:, :, None])
+def _map_steps(model: ControlAugmentedSSMR, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    n, h, together = model.state_dim, model.base_timestep, torch.cat([z, u], dim=-1)
+    identity = torch.eye(n, dtype=z.dtype, device=z.device)
+    transition = identity + h * _jacobian(model.dynamics_features, model.dynamics_table, together)[..., :n]
+    return transition, (h * identity)[:, None].expand(*z.shape, 1, -1), model.dynamics_features(together)[:, :, None]
 
 
-def _runge_kutta_steps(model: SSMR, z: Tensor, u: Tensor, h: float) -> tuple[Tensor, Tensor, Tensor]:
-    stages = [z]
+def _runge_kutta_steps(model: SSMR, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    h, stages = model.timestep / model.substeps, [z]
     for ahead in (0.5 * h, 0.5 * h, h):
         stages.append(z + ahead * model.rate(stages[-1], u))
     identity = torch.eye(model.state_dim, dtype=z.dtype, device=z.device)
@@ -139,11 +134,44 @@ def _runge_kutta_steps(model: SSMR, z: Tensor, u: Tensor, h: float) -> tuple[Ten
     # from the last stage to the first: a rate acts on z⁺ by its own share and through the stage that it leads to
     for stage, share, ahead in zip(reversed(stages), (1.0, 2.0, 2.0, 1.0), (0.0, h, 0.5 * h, 0.5 * h)):
         gains.insert(0, share * h / 6.0 * identity + ahead * through)
-        through = gains[0] @ model.rate_jacobian(stage, u)
+        through = gains[0] @ _rate_jacobian(model, stage, u)
         transition = transition + through
     gains[-1] = gains[-1].expand_as(transition)
     regressors = [model.dynamics_regressors(stage, u) for stage in stages]
     return transition, torch.stack(gains, dim=3), torch.stack(regressors, dim=2)
+
+
+def _rate_jacobian(model: SSMR, z: Tensor, u: Tensor) -> Tensor:
+    drift = _jacobian(model.drift_features, model.drift_table, z)
+    if model.control_degree == 0:
+        return drift
+    by_input = model.control_table.unflatten(-1, (-1, model.input_dim))[:, 1:].transpose(1, 2).flatten(0, 1)
+    slopes = _slopes(model.control_features, by_input).unflatten(0, (model.state_dim, -1)).permute(0, 2, 3, 1)
+    powers = model.control_features.all_degrees(z)[..., :slopes.shape[2]]
+    products = (powers[..., None] * u[..., None, :]).flatten(-2)
+    return drift + (products @ slopes.flatten(2).flatten(0, 1).T).unflatten(-1, (model.state_dim, -1))
+
+
+def _jacobian(features: MonomialFeatures, table: Tensor, x: Tensor) -> Tensor:
+    """table · ∂φ/∂x, (..., rows, variables), as polynomials in x, which spares the Jacobian of every monomial."""
+    slopes = _slopes(features, table)
+    return (features.all_degrees(x)[..., :slopes.shape[2]] @ slopes.flatten(0, 1).T).unflatten(-1, slopes.shape[:2])
+
+
+def _slopes(features: MonomialFeatures, table: Tensor) -> Tensor:
+    """Coefficients of table · ∂φ/∂x in x^{0:d−1}, (rows, variables, ·)."""
+    index = features.derivative_index
+    slopes = table.new_zeros(len(table), index.shape[1], int(index.max()) + 1)
+    return slopes.scatter_add_(2, index.T.expand(len(table), -1, -1), features.exponents.T * table[:, None])
+
+
+def _of_dynamics(model, after: Tensor, before: Steps) -> list[Tensor]:
+    """For each dynamics table, Σ Λ G ⊗ φ over all stages of all steps, (N, p, n q): one product per start."""
+    felt = (after @ before.gains.flatten(-2)).unflatten(-1, (-1, model.state_dim))
+    felt = felt.permute(0, 2, 4, 1, 3).flatten(3).flatten(1, 2)
+    widths = [table.shape[1] for table in dynamics_tables(model)]
+    return [(felt @ regressors).view(len(after), model.output_dim, -1)
+            for regressors in torch.split(before.regressors.flatten(1, 2), widths, dim=-1)]
 
 
 def _of_parametrization(model, z: Tensor) -> Tensor:
