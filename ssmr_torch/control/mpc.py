@@ -42,7 +42,8 @@ class ModelPredictiveController:
     observer: (model at timestep, input range) → `Estimator`, such as a partial `KalmanObserver`; nothing: the chart.
     measurement_delay: s, a whole number of timesteps, by which measurements are old; the model bridges it.
     frozen_after: so many measurements, equal to the last bit while the input changed, are a frozen sensor; 0: never.
-    qp: proxqp, daqp or qpsolvers:NAME.   solver: an object with `solve(QuadraticProgram)` and `reset()` instead.
+    qp: proxqp, daqp or qpsolvers:NAME.   solver: an object with `solve(QuadraticProgram)` and `reset()` instead, and
+    perhaps `advance`, see `ProxQP`.
 
     A step that cannot be trusted falls back to the plan made last, then to safe_input, under the same bounds
     and rate; `fallbacks` counts the reasons by Status. Everything is compiled and run once at construction.
@@ -71,7 +72,8 @@ class ModelPredictiveController:
         self.horizon = horizon_for(model, self.problem)
         self.safe_input = self._safe_input(safe_input)
         self.solver = solver_named(qp, *self.problem.size) if solver is None else solver
-        self._advance = getattr(self.solver, "advance", None)
+        # with a rate limit and obstacles a start one stage on was found to take more iterations, not fewer
+        self._advance = None if self.problem.input_step is not None else getattr(self.solver, "advance", None)
         self.iterations, self.first_iterations = int(iterations), int(first_iterations)
         self.tolerance, self.frozen_after = float(tolerance), int(frozen_after)
         self._largest_norm = float(range_factor) * float(np.linalg.norm(model.state_scale))
