@@ -162,3 +162,15 @@ def test_margins_keep_the_robot_that_much_further_away(bench):
 def test_constraints_without_meaning_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         constraints_with(**options)
+
+
+def test_a_control_step_later_each_variable_and_row_continues_its_like_one_stage_on():
+    """Two inputs, three stages, one wall and two circles: inputs 0-5, slacks 6-14; rate rows 0-3, soft rows 4-12."""
+    constraints = OutputConstraints(2, 3, (0, 1), [HalfPlane((1.0, 0.0), 0.02), Circle((0.0, 0.03), 0.01),
+                                                   Circle((0.0, -0.03), 0.01)], linear=1e7, quadratic=1e9)
+    problem = TrackingProblem(lambda time: np.zeros((len(time), 2)), np.array([[0.0, 0.0], [1.0, 1.0]]),
+                              1e8 * np.ones(2), input_rate=1.0, horizon=3, constraints=constraints)
+    variables, rows = problem.continuation
+    np.testing.assert_array_equal(variables, [2, 3, 4, 5, 4, 5, 9, 10, 11, 12, 13, 14, 12, 13, 14])
+    np.testing.assert_array_equal(rows, [2, 3, 2, 3, 7, 8, 9, 10, 11, 12, 10, 11, 12])
+    assert (len(variables), len(rows)) == problem.size

@@ -125,6 +125,26 @@ def test_the_gradient_is_that_of_the_cost_of_the_rollout(bench):
                             for e in step])
     np.testing.assert_allclose(condensed.gradient, differences / 12e-5, rtol=1e-6,
                                atol=1e-8 * np.abs(condensed.gradient).max())
+    np.testing.assert_allclose(condensed.linear, condensed.gradient - condensed.hessian @ v, rtol=1e-10,
+                               atol=1e-12 * np.abs(condensed.gradient).max())
+
+
+@pytest.mark.parametrize("degrees", [(1, 0), (3, 1)])
+def test_the_feedback_phase_of_a_linear_model_is_the_program_itself(bench, degrees):
+    """Moved to another state and reference, and back: what was condensed there."""
+    model, problem = bench.oscillators(0, *degrees), problem_of(bench)
+    horizon, (state, inputs) = horizon_for(model, problem), point_of(3)
+    here, other = horizon.condense(state, inputs, problem.reference_ahead(0.1)), problem.reference_ahead(0.4)
+    moved = horizon.moved(here, state + 1e-4, inputs, other)
+    if degrees == (1, 0):
+        there = horizon.condense(state + 1e-4, inputs, other)
+        for name in ("outputs", "hessian", "gradient", "linear"):
+            found, expected = getattr(moved, name), getattr(there, name)
+            assert np.abs(found - expected).max() <= 1e-11 * np.abs(expected).max(), name
+    back = horizon.moved(moved._replace(states=here.states + 1e-4), state, inputs, problem.reference_ahead(0.1))
+    for name in ("outputs", "gradient", "linear"):
+        found, expected = getattr(back, name), getattr(here, name)
+        assert np.abs(found - expected).max() <= 1e-11 * np.abs(expected).max(), name
 
 
 def test_the_hessian_is_that_of_the_cost_when_the_model_is_linear(bench):
