@@ -7,7 +7,7 @@ import torch
 from scipy.optimize import least_squares
 
 from ssmr_torch.data.datamodule import TrajectoryDataModule
-from ssmr_torch.fitting.gauss_newton import GaussNewtonFit, LevenbergMarquardt
+from ssmr_torch.fitting.gauss_newton import COLUMNS, GaussNewtonFit, LevenbergMarquardt
 from ssmr_torch.fitting.stability import StabilityGuard
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.ssmr import SSMR
@@ -29,12 +29,14 @@ def test_levenberg_marquardt_finds_the_minimum_that_scipy_finds():
     assert all(later <= earlier for earlier, later in zip(costs, costs[1:]))
 
 
-def test_on_a_linear_problem_one_undamped_step_is_least_squares():
+@pytest.mark.parametrize("columns", [2, COLUMNS], ids=["one block of columns", "several"])
+def test_on_a_linear_problem_one_undamped_step_is_least_squares(columns):
     rng = np.random.default_rng(0)
-    A, b = (torch.from_numpy(rng.normal(size=shape)) for shape in ((40, 6), (40,)))
-    tables = [torch.zeros(2, 2, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)]
+    rows, size = 10 * columns, 2 * columns + 2
+    A, b = (torch.from_numpy(rng.normal(size=shape)) for shape in ((rows, size), (rows,)))
+    tables = [torch.zeros(2, columns, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)]
     optimizer = LevenbergMarquardt([torch.nn.Parameter(torch.zeros(1))], tables, damping=1e-12)
-    for half in (slice(0, 15), slice(15, 40)):
+    for half in (slice(0, rows // 3), slice(rows // 3, rows)):
         optimizer.accumulate(A[half], b[half])
     optimizer.step(lambda: float((A @ torch.cat([t.flatten() for t in tables]) - b).square().sum()))
     found = torch.cat([t.flatten() for t in tables])
