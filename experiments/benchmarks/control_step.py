@@ -92,7 +92,7 @@ def measure(horizon: int, laps: float = 6.0, build=ModelPredictiveController, mo
     """CPU and wall time of every control step of one run, in ms, with what happened in it.
 
     prepare: linearize and condense when an input has been sent, as on a robot; the step is then from the measurement to
-    the input, and `preparing`, mean CPU ms of the rest, is what a step without it contains.
+    the input alone.
 
     build(model, task, BOUNDS, horizon=horizon) → the controller, which counts its `fallbacks`.   model, task: default
     the oscillators and the fast figure eight of so many laps; the plant is always the perturbed oscillators.
@@ -103,7 +103,7 @@ def measure(horizon: int, laps: float = 6.0, build=ModelPredictiveController, mo
     plant = TablesPlant(perturbed(oscillators(), 0.03))
     controller = build(oscillators() if model is None else model, task, BOUNDS, horizon=horizon)
     rng, observation = np.random.default_rng(0), plant.reset()
-    cpu, wall, preparing, inputs, errors, clearance = [], [], 0.0, [], [], np.inf
+    cpu, wall, inputs, errors, clearance = [], [], [], [], np.inf
     for k in range(round(task.duration / plant.timestep)):
         measured = observation + 3e-5 * rng.standard_normal(6)
         starts = thread_time(), perf_counter()
@@ -116,13 +116,10 @@ def measure(horizon: int, laps: float = 6.0, build=ModelPredictiveController, mo
             clearance = min([clearance, *(float(obstacle.clearance(k * plant.timestep, observation[None, :2])[0])
                                           for obstacle in task.obstacles)])
         if prepare:
-            begun = thread_time()
             controller.prepare()
-            preparing += thread_time() - begun
         observation = plant.step(command.input)
     saturated, squares = np.isclose(inputs, BOUNDS[1]).mean(), np.mean(np.sum(np.square(errors), axis=1))
     return {"N": horizon, "steps": len(cpu), "cpu": 1e3 * np.array(cpu), "wall": 1e3 * np.array(wall),
-            "preparing": 1e3 * preparing / len(cpu),
             "failures": sum(controller.fallbacks.values()), "saturated": saturated, "rmse": 1e3 * np.sqrt(squares),
             "clearance": 1e3 * clearance,
             "cost": OUTPUT_WEIGHT * squares + INPUT_WEIGHT * np.mean(np.sum(np.square(inputs), axis=1))}

@@ -38,6 +38,7 @@ class ChartEstimator:
         self._begun = False
 
     def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
+        """The newest sample enters the window, the oldest leaves it."""
         if not self._begun:
             self._observations[:], self._inputs[:] = observation, last_input
             self._begun = True

@@ -38,20 +38,26 @@ def tables_of(model) -> KernelTables:
     """The kernel's tables of a polynomial model (`PolynomialTables`), Jacobians differentiated analytically."""
     n, m, p = model.state_dim, model.input_dim, model.output_dim
     used = (model.drift_monomials, model.control_monomials, model.parametrization_monomials)
-    parents, variables, offset = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], 1
-    for parent, variable in max(used, key=lambda monomials: monomials.highest).levels:
-        parents.append(parent + offset)
-        variables.append(variable)
-        offset += parent.max() + 1
+    parent, variable = parents_of(max(used, key=lambda monomials: monomials.highest))
     field = np.ascontiguousarray(model.control.reshape(n, -1, m).transpose(2, 0, 1))
     field_z = np.stack([derivative_table(field[j, :, 1:], model.control_monomials) for j in range(m)])
     rate, rate_z = np.insert(model.drift, 0, 0.0, axis=1), derivative_table(model.drift, model.drift_monomials)
     newest = model.parametrization[-p:]
     return KernelTables(
-        *(np.concatenate(part).astype(np.uint32) for part in (parents, variables)), _widened(rate, field.shape[-1]),
-        _widened(rate_z, field_z.shape[-1]), field.transpose(1, 0, 2).reshape(n * m, -1), field, field_z,
+        parent, variable, _widened(rate, field.shape[-1]), _widened(rate_z, field_z.shape[-1]),
+        field.transpose(1, 0, 2).reshape(n * m, -1), field, field_z,
         np.insert(newest, 0, 0.0, axis=1), derivative_table(newest, model.parametrization_monomials),
         model.timestep, model.substeps)
+
+
+def parents_of(monomials) -> tuple[np.ndarray, np.ndarray]:
+    """parent and variable of all monomials beyond the linear ones, see `KernelTables`; none for linear ones."""
+    parents, variables, offset = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], 1
+    for parent, variable in monomials.levels:
+        parents.append(parent + offset)
+        variables.append(variable)
+        offset += parent.max() + 1
+    return np.concatenate(parents).astype(np.uint32), np.concatenate(variables).astype(np.uint32)
 
 
 def derivative_table(table: np.ndarray, monomials) -> np.ndarray:

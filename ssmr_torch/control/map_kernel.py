@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ssmr_torch.control.condensing import compiled, condensed
-from ssmr_torch.control.kernel import derivative_table, powers_of, table_product
+from ssmr_torch.control.kernel import derivative_table, parents_of, powers_of, table_product
 
 
 class MapTables(NamedTuple):
@@ -52,7 +52,7 @@ def map_tables(model, repeats: int) -> MapTables:
     rate_x = derivative_table(model.base_timestep * model.dynamics, joint)
     rate_x.reshape(n, n + model.input_dim, -1)[range(n), range(n), 0] += 1.0
     output = np.insert(model.parametrization, 0, 0.0, axis=1)
-    return MapTables(*_parents(joint), *_parents(seen), advance, rate_x, output,
+    return MapTables(*parents_of(joint), *parents_of(seen), advance, rate_x, output,
                      derivative_table(model.parametrization, seen), repeats)
 
 
@@ -60,15 +60,6 @@ def bilinear_tables(model, repeats: int) -> BilinearTables:
     """The kernel's tables of `KoopmanTables` whose observables are not lifted anew."""
     N = model.N if len(model.N) else np.zeros((model.input_dim, model.state_dim, model.state_dim))
     return BilinearTables(model.A, model.B, N, model.read_out, repeats)
-
-
-def _parents(monomials) -> tuple[np.ndarray, np.ndarray]:
-    parents, variables, offset = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], 1
-    for parent, variable in monomials.levels:
-        parents.append(parent + offset)
-        variables.append(variable)
-        offset += parent.max() + 1
-    return np.concatenate(parents).astype(np.uint32), np.concatenate(variables).astype(np.uint32)
 
 
 @compiled

@@ -225,7 +225,7 @@ class ModelPredictiveController:
         self.solver.reset()
         steps = self._steps_since_plan(time) if isfinite(time) else None
         intended = self.safe_input if steps is None else self._plan.inputs[steps]
-        admissible = self.problem.admissible(intended[None].copy(), self._last_input)[0]
+        admissible = self.problem.admissible(intended[None], self._last_input)[0]
         return Command(admissible, plan, status)
 
 

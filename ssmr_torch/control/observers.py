@@ -94,6 +94,7 @@ class KalmanObserver:
         self._chart.reset()
 
     def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
+        """Predict and update as in `Estimator`; where the estimate is not believed, start anew from the chart."""
         whole = np.isfinite(observation)
         self.missing += not whole.all()
         if not self._begun:
