@@ -22,7 +22,7 @@ class TrajectoryDataModule(lightning.LightningDataModule):
     decays, controlled_duration: how many of the training decays, and how many s of the controlled training, from its
     start, are used; None for all. noise_std: m, of seeded white noise on the training runs and on the windows that
     validation and test predictions start from; what they are compared with stays as it is. score_test: whether the
-    test runs are looked at. overdrive: see `ModelFit`.
+    test runs are looked at. overdrive, overspeed: see `ModelFit`.
     Call `prepare(fit)` before training: it learns the delays and context that the fit needs.
     """
 
@@ -30,7 +30,7 @@ class TrajectoryDataModule(lightning.LightningDataModule):
                  rows: int = 1024, rollout_horizon: float = 0.4, validation_horizon: float = 1.0, starts: int = 500,
                  batch_size: int = 64, stride: int = 5, seed: int = 0, num_workers: int = 0,
                  decays: int | None = None, controlled_duration: float | None = None, noise_std: float = 0.0,
-                 score_test: bool = True, overdrive: float = 1.0):
+                 score_test: bool = True, overdrive: float = 1.0, overspeed: int = 1):
         super().__init__()
         if not 0 <= validation_share < 1:
             raise ValueError(f"validation_share is {validation_share}; expected 0 ≤ share < 1")
@@ -45,7 +45,9 @@ class TrajectoryDataModule(lightning.LightningDataModule):
             raise ValueError(f"noise_std is {noise_std} m; expected zero or more")
         if not overdrive >= 1:
             raise ValueError(f"overdrive is {overdrive}; expected 1 or more")
-        self.noise_std, self.overdrive = float(noise_std), float(overdrive)
+        if not (overspeed >= 1 and overspeed == int(overspeed)):
+            raise ValueError(f"overspeed is {overspeed}; expected a whole number, 1 or more")
+        self.noise_std, self.overdrive, self.overspeed = float(noise_std), float(overdrive), int(overspeed)
         training, self.validation = _hold_out(dataset, validation_share)
         training = _limited(training, decays, controlled_duration)
         self.training = tuple(_noisy(run, noise_std, (seed, number)) for number, run in enumerate(training))

@@ -30,6 +30,12 @@ def rollout_errors(model: ReducedModel, batch: RolloutBatch) -> Tensor:
     return torch.where(step >= rollout.diverged_at[..., None], torch.inf, errors)
 
 
+def hurried(inputs: Tensor, factor: int) -> Tensor:
+    """Inputs (N, H, m) played `factor` times as fast, forwards, backwards, … until H steps are full."""
+    fast = inputs[:, ::factor]
+    return torch.cat([fast.flip(1) if piece % 2 else fast for piece in range(factor)], dim=1)[:, :inputs.shape[1]]
+
+
 def running_rmse(difference: Tensor) -> Tensor:
     """√(mean_{k≤h} ‖e_k‖²) for h = 1 … H, (..., H, p) → (..., H)."""
     squares = difference.square().sum(-1)
@@ -51,15 +57,16 @@ class ModelFit(lightning.LightningModule):
     start diverges, which …/diverged counts); …/rmse_median: their median; …/rmse_50ms and …/rmse_200ms: the mean over
     the first part of the same rollouts; …/relative: geometric mean over these horizons of the error divided by that of
     persistence, ŷ_k = y_0, in which short and long horizons count alike.
-    overdrive: the validation rollouts are repeated with their inputs multiplied by it, where it is not 1; the share
-    that diverges is validation/overdriven, and validation/relative is infinite where any does. What was measured says
-    nothing of what lies beyond it, but that a robot stays finite there is known.
+    overdrive, overspeed: where one is not 1, the validation rollouts are repeated with inputs `overdrive` times as
+    strong, and with these played `overspeed` times as fast; the larger share that diverges is validation/overdriven,
+    and validation/relative is infinite where any does. What was measured says nothing of what lies beyond it, but
+    that a robot stays finite there is known.
     selects: whether the fit keeps its best epoch by validation error, and is undone where none is better than its
     start; otherwise its last epoch is kept.
     """
 
     selects = False
-    overdrive = 1.0
+    overdrive, overspeed = 1.0, 1
 
     def __init__(self, model: ReducedModel):
         super().__init__()
@@ -91,12 +98,15 @@ class ModelFit(lightning.LightningModule):
                 values[f"rmse_{label}"] = running[..., steps - 1].mean()
                 ratios.append(values[f"rmse_{label}"] / still[..., steps - 1].mean())
         values["relative"] = torch.stack(ratios).log().mean().exp()
-        if split == "validation" and self.overdrive != 1.0:
-            stressed = replace(batch, inputs=self.overdrive * batch.inputs)
-            values["overdriven"] = rollout_errors(self.model, stressed)[..., -1].isinf().double().mean()
+        if split == "validation" and (self.overdrive, self.overspeed) != (1.0, 1):
+            values["overdriven"] = max(self._diverged(batch, speed) for speed in {1, self.overspeed})
             values["relative"] = torch.where(values["overdriven"] > 0, torch.inf, values["relative"])
         self.log_dict({f"{split}/{name}": value for name, value in values.items()}, batch_size=len(errors),
                       prog_bar=split == "validation")
+
+    def _diverged(self, batch: RolloutBatch, speed: int) -> Tensor:
+        stressed = replace(batch, inputs=self.overdrive * hurried(batch.inputs, speed))
+        return rollout_errors(self.model, stressed)[..., -1].isinf().double().mean()
 
 
 class LeastSquaresFit(ModelFit):

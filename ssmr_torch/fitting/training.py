@@ -107,7 +107,7 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
     scores, report, fit_time = {}, {}, 0.0
     for step, build in fits.items():
         fit = build(reduced)
-        fit.card, fit.overdrive = card, prepared.overdrive
+        fit.card, fit.overdrive, fit.overspeed = card, prepared.overdrive, prepared.overspeed
         scores, undone, duration = _run(fit, prepared.prepare(fit), trainer, directory / "checkpoints" / step, loggers,
                                         resume)
         fit_time += duration

@@ -133,7 +133,9 @@ def test_more_processes_than_segments_are_refused_with_the_numbers():
 @pytest.mark.parametrize(("options", "message"), [
     ({"validation_share": 1.0}, "validation_share is 1.0; expected 0 ≤ share < 1"),
     ({"validation_share": -0.1}, "validation_share is -0.1"),
-    ({"overdrive": 0.9}, "overdrive is 0.9; expected 1 or more"), ({"transient": -1.0}, "transient -1.0 s"),
+    ({"overdrive": 0.9}, "overdrive is 0.9; expected 1 or more"),
+    ({"overspeed": 1.5}, "overspeed is 1.5; expected a whole number, 1 or more"),
+    ({"transient": -1.0}, "transient -1.0 s"),
     ({"rollout_horizon": 0.0}, "rollout_horizon 0.0 s"), ({"validation_horizon": -2.0}, "validation_horizon -2.0 s")])
 def test_options_without_meaning_are_refused_with_the_numbers(options, message):
     with pytest.raises(ValueError, match=message):
