@@ -32,10 +32,17 @@ def margins(config, loaded, task) -> dict:
     return {"margins": found}
 
 
+def bench(config, loaded):
+    """The plant on its rig, which sees what the model was trained on where the plant offers more."""
+    plant, names = instantiate(config.plant), loaded.card["output_names"]
+    more = config.rig.outputs is None and set(names) < set(plant.output_names)
+    return instantiate(config.rig)(plant, **({"outputs": names} if more else {}))
+
+
 @entry_point("control")
 def main(config, directory):
     loaded, task = artifact.load(config.artifact), instantiate(config.task)
-    plant = instantiate(config.rig)(instantiate(config.plant))
+    plant = bench(config, loaded)
     artifact.check_source(loaded, plant)
     controller = instantiate(config.controller)(loaded.model, task, plant.input_bounds, timestep=plant.timestep,
                                                 output_names=plant.output_names, **margins(config, loaded, task))
@@ -45,7 +52,8 @@ def main(config, directory):
         record = simulate(plant, controller, task, seed=config.seed, noise_std=config.noise_std, watch=watch,
                           progress=config.progress, provenance=origin | {"input_bounds": plant.input_bounds.tolist()})
     record.save(directory / "record.h5")
-    draw_robot(plant, record, directory, config.animate, task.obstacles)
+    if config.picture:
+        draw_robot(plant, record, directory, config.animate, task.obstacles)
     metrics = closed_loop_metrics(record, task.obstacles)
     save_json(directory / "metrics.json", metrics)
     inside = "" if not task.obstacles else (f"inside an obstacle {100 * metrics['violation_ratio']:.3g} % of the time, "

@@ -20,7 +20,8 @@ class SweepTable(Callback):
 
     sweep.csv: all jobs, best first by the first metric; of trainings sweep.svg: score against parameters, fit time,
     step time and data; of a study study.csv and study.svg: scores against the quantity that it varies; of a search
-    best.yaml: the best job's settings, to be copied to conf/tuned/EXPERIMENT/MODEL.yaml.
+    best.yaml: the best job's settings, to be copied to conf/tuned/EXPERIMENT/MODEL.yaml, or for a controller to
+    conf/controller/NAME.yaml.
     """
 
     def on_multirun_end(self, config, **kwargs) -> None:
@@ -39,6 +40,8 @@ class SweepTable(Callback):
             figures.save(study_figures.ranking(rows, first), directory / "sweep.svg")
         if choices.get("sweep"):
             save_best(directory, rows[0], first, choices)
+        if choices.get("tuning"):
+            save_controller(directory, rows[0], first, choices)
         show(directory, rows, columns, first)
 
 
@@ -72,13 +75,12 @@ def save(path: Path, rows: list[dict], columns: list[str]) -> None:
 
 def save_best(directory: Path, best: dict, first: str, choices) -> None:
     """best.yaml: what was tuned before, and over it the best job's overrides of model, fit and derivative."""
-    if best.get(first) is None:
+    if not isinstance(best.get(first), float):  # every job failed
         return
     before = Path(CONF) / "tuned" / str(choices.get("experiment")) / f"{choices.model}.yaml"
     settings = OmegaConf.load(before) if before.is_file() else OmegaConf.create()
-    overrides = json.loads((directory / best["job"] / "result.json").read_text())["overrides"]
     groups = []
-    for override in OverridesParser.create().parse_overrides(overrides):
+    for override in overrides_of(directory, best):
         section, _, rest = override.key_or_group.partition(".")
         if section in TUNED and rest:
             OmegaConf.update(settings, override.key_or_group, override.value(), force_add=True)
@@ -87,6 +89,25 @@ def save_best(directory: Path, best: dict, first: str, choices) -> None:
     settings = OmegaConf.merge({"defaults": groups} if groups else {}, settings)
     note = f"Found by sweep={choices.sweep}: {first} {best[first]:.4g} in job {best['job']}."
     (directory / "best.yaml").write_text(f"# @package _global_\n# {note}\n{OmegaConf.to_yaml(settings)}")
+
+
+def save_controller(directory: Path, best: dict, first: str, choices) -> None:
+    """best.yaml: the controller that was searched, with the best job's overrides."""
+    if not isinstance(best.get(first), float):  # every job failed
+        return
+    observer = choices["observer@controller.observer"]
+    settings = OmegaConf.create({"defaults": [choices.controller, {"override /observer@observer": observer}, "_self_"]})
+    for override in overrides_of(directory, best):
+        section, _, rest = override.key_or_group.partition(".")
+        if section == "controller" and rest:
+            OmegaConf.update(settings, rest, override.value(), force_add=True)
+    note = f"Found by tuning={choices.tuning}: {first} {best[first]:.4g} in job {best['job']}."
+    (directory / "best.yaml").write_text(f"# {note}\n{OmegaConf.to_yaml(settings)}")
+
+
+def overrides_of(directory: Path, row: dict) -> list:
+    overrides = json.loads((directory / row["job"] / "result.json").read_text())["overrides"]
+    return OverridesParser.create().parse_overrides(overrides)
 
 
 def show(directory: Path, rows: list[dict], columns: list[str], first: str) -> None:

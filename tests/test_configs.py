@@ -140,6 +140,13 @@ def test_every_model_can_be_tuned():
     assert set(group("sweep")) == {*group("model"), "optuna"}
 
 
+@pytest.mark.parametrize("tuning", group("tuning"))
+def test_every_tuning_searches_settings_that_its_controller_has_on_a_task_of_its_own(tuning):
+    config = compose("control", [f"tuning={tuning}"], return_hydra_config=True)
+    assert config.hydra.runtime.choices.task == "rose" and not config.picture
+    assert config.hydra.sweeper.params and all(has(config, key) for key in config.hydra.sweeper.params)
+
+
 @pytest.mark.parametrize("study", group("study"))
 def test_every_study_varies_a_setting_or_asks_for_test_runs(study):
     config = compose("train", [f"study={study}"], return_hydra_config=True)

@@ -203,6 +203,34 @@ def test_a_search_goes_on_where_it_was_never_sees_the_test_runs_and_leaves_the_b
 
 
 @pytest.mark.slow
+def test_a_controller_is_tuned_on_a_task_of_its_own_and_its_best_settings_are_a_configuration(line):
+    pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="needs pip install 'ssmr_torch[sweeps]'")
+    run("control", "-m", "tuning=scp_observer", "artifact=export/0/artifact", "hydra.sweeper.n_trials=3",
+        "task.amplitude=0.008", "hydra.sweep.dir=tuning", cwd=line)
+    with open(line / "tuning" / "sweep.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["ise"]) for row in rows] == sorted(float(row["ise"]) for row in rows) and len(rows) == 3
+    best = OmegaConf.load(line / "tuning" / "best.yaml")
+    assert list(best.defaults) == ["scp", {"override /observer@observer": "output_disturbance"}, "_self_"]
+    assert f"controller.input_weight={best.input_weight}" in rows[0]["overrides"]
+    assert f"controller.observer.measurement_noise={best.observer.measurement_noise}" in rows[0]["overrides"]
+
+
+@pytest.mark.slow
+def test_a_model_of_the_tip_controls_a_robot_that_shows_more(trunk_line):
+    at, _ = trunk_line
+    run("train", "experiment=trunk", "model=sssr", "data.path=collect/trajectories.h5", *QUIET,
+        "outputs=[tip_x,tip_y,tip_z]", "model.delays=4", "hydra.run.dir=tip", cwd=at)
+    run("export", "checkpoint=tip/model.ckpt", "artifact=tip_artifact", "formats=[]", "hydra.run.dir=tip_export",
+        cwd=at)
+    run("control", *TRUNK, "artifact=tip_artifact", "controller=scp_trunk", "task=letter", "task.duration=4.0",
+        "task.half_size=0.008", "progress=false", "hydra.run.dir=tip_control", cwd=at)
+    record = ClosedLoopRecord.load(at / "tip_control" / "record.h5")
+    assert record.observation.shape[1] == 3 and (at / "tip_control" / "robot.svg").is_file()
+    assert json.loads((at / "tip_control" / "metrics.json").read_text())["rmse"] < 3e-3
+
+
+@pytest.mark.slow
 def test_a_study_ends_with_a_table_and_a_figure_of_its_scores(line):
     quick = [*QUIET, "data.path=collect/trajectories.h5", "module.starts=100", "figures=false"]
     run("train", "-m", "study=decays", "model=ssmr,sssr", "module.decays=3,20", *quick, "hydra.sweep.dir=decays",

@@ -9,6 +9,23 @@ from numba import njit
 compiled = njit(cache=True, fastmath={"reassoc", "contract"})
 
 
+# Loops instead of slices: what numba makes of `a[:] = b` takes four seconds more to compile.
+@compiled
+def copy(x, out):
+    """out = x, of as many entries."""
+    for i in range(len(x)):
+        out[i] = x[i]
+
+
+@compiled
+def split(J, A, B):
+    """A = J[:, :n], B = J[:, n:], A (n, n)."""
+    n = len(A)
+    for i in range(n):
+        copy(J[i, :n], A[i])
+        copy(J[i, n:], B[i])
+
+
 @compiled
 def sensitivities(A, B, C, scale):
     """Y (N, p, N m) = ∂y_k/∂v and Z (N, p, n) = ∂y_k/∂z_0 of y_1 … y_N, v = u / scale.
@@ -67,8 +84,8 @@ def gauss_newton(Y, weight, R):
 
 
 @compiled
-def gradient(Y, error, weight, R, inputs, scale):
-    """2 (Σ_k Y_kᵀ Q_k e_k + R v) for output errors e (N, p) and inputs (N, m); scaled as in `gauss_newton`."""
+def gradient(Y, outputs, reference, weight, R, inputs, scale):
+    """2 (Σ_k Y_kᵀ Q_k e_k + R v) for errors e = outputs − reference (N, p), inputs (N, m); scaled as `gauss_newton`."""
     N, p, size = Y.shape
     m = len(R)
     total = np.empty(size)
@@ -78,7 +95,7 @@ def gradient(Y, error, weight, R, inputs, scale):
         for o in range(p):
             w = weight[k, o]
             if w != 0.0:
-                w *= error[k, o]
+                w *= outputs[k, o] - reference[k, o]
                 for i in range((k + 1) * m):
                     total[i] += w * Y[k, o, i]
     return total
@@ -101,7 +118,7 @@ def condensed(outputs, A, B, C, reference, inputs, scale, weight, R):
     """`gauss_newton`, `gradient`, `around` and `sensitivities` at once: hessian, gradient, linear, Y, Z."""
     Y, Z = sensitivities(A, B, C, scale)
     hessian = gauss_newton(Y, weight, R)
-    slope = gradient(Y, outputs - reference, weight, R, inputs, scale)
+    slope = gradient(Y, outputs, reference, weight, R, inputs, scale)
     return hessian, slope, around(hessian, slope, inputs, scale), Y, Z
 
 

@@ -78,7 +78,7 @@ class Horizon(ABC):
 
     def _gradients(self, hessian, Y, outputs, reference, inputs) -> tuple[np.ndarray, np.ndarray]:
         scale = self.problem.input_scale
-        gradient = condensing.gradient(Y, outputs - reference, self._weight, self._R, inputs, scale)
+        gradient = condensing.gradient(Y, outputs, reference, self._weight, self._R, inputs, scale)
         return gradient, condensing.around(hessian, gradient, inputs, scale)
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.control.condensing import compiled, condensed
+from ssmr_torch.control.condensing import compiled, condensed, copy, split
 
 
 class KernelTables(NamedTuple):
@@ -107,7 +107,9 @@ def powers_of(x, parent, variable, out):
 @compiled
 def _held(table, field, u, out):
     """out = table while the input u is held: its first columns with Σ_j u_j field_j added, field (m, rows, ·)."""
-    out[:] = table
+    for i in range(table.shape[0]):
+        for q in range(table.shape[1]):
+            out[i, q] = table[i, q]
     for j in range(field.shape[0]):
         for i in range(field.shape[1]):
             for q in range(field.shape[2]):
@@ -124,10 +126,17 @@ def _reach(x, start, total, k, stage, h):
 
 
 @compiled
+def begin(x, start, total):
+    """start = x and total = 0."""
+    for i in range(len(x)):
+        start[i], total[i] = x[i], 0.0
+
+
+@compiled
 def _advance(z, h, substeps, rate, parent, variable, powers, k, start, total):
     """z one timestep later, in place: Runge-Kutta of order four with the input held."""
     for _ in range(substeps):
-        start[:], total[:] = z, 0.0
+        begin(z, start, total)
         for stage in range(4):
             powers_of(z, parent, variable, powers)
             table_product(rate, powers, k)
@@ -142,10 +151,10 @@ def rollout(state, inputs, tables):
     states, outputs = np.empty((N + 1, n)), np.empty((N, output.shape[0]))
     rate, powers, work = np.empty_like(free), np.empty(1 + n + len(parent)), np.empty((3, n))
     k, start, total = work[0], work[1], work[2]
-    states[0] = state
+    copy(state, states[0])
     for step in range(N):
         z = states[step + 1]
-        z[:] = states[step]
+        copy(states[step], z)
         _held(free, field, inputs[step], rate)
         _advance(z, timestep / substeps, substeps, rate, parent, variable, powers, k, start, total)
         powers_of(z, parent, variable, powers)
@@ -185,21 +194,23 @@ def linearize(state, inputs, tables):
     start, total, work = np.empty(n), np.empty(n), np.empty((4, n * (n + m)))
     S_start, S_total, flat_S, flat_K = work[0], work[1], work[2], work[3]
     S, K, C_rows = flat_S.reshape(n, n + m), flat_K.reshape(n, n + m), C.reshape(N, p * n)
-    states[0] = state
+    copy(state, states[0])
     for step in range(N):
         z = states[step + 1]
-        z[:], S[:] = states[step], 0.0
+        copy(states[step], z)
         for i in range(n):
-            S[i, i] = 1.0
+            for j in range(n + m):
+                S[i, j] = 1.0 if i == j else 0.0
         _held(free, field, inputs[step], rate)
         _held(free_z, field_z, inputs[step], rate_z)
         for _ in range(substeps):
-            start[:], total[:], S_start[:], S_total[:] = z, 0.0, flat_S, 0.0
+            begin(z, start, total)
+            begin(flat_S, S_start, S_total)
             for stage in range(4):
                 _rates(z, S, rate, rate_z, rate_u, parent, variable, powers, k, F, G, K)
                 _reach(z, start, total, k, stage, h)
                 _reach(flat_S, S_start, S_total, flat_K, stage, h)
-        A[step], B[step] = S[:, :n], S[:, n:]
+        split(S, A[step], B[step])
         powers_of(z, parent, variable, powers)
         table_product(output, powers, outputs[step])
         table_product(output_z, powers, C_rows[step])

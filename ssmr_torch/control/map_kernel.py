@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.control.condensing import compiled, condensed
+from ssmr_torch.control.condensing import compiled, condensed, copy, split
 from ssmr_torch.control.kernel import derivative_table, parents_of, powers_of, table_product
 
 
@@ -67,7 +67,7 @@ def _chain(J, A, B, n, m, first):
     """A ← J_z A,  B ← J_z B + J_u, of one application more; J (n (n + m),) of this one."""
     J = J.reshape(n, n + m)
     if first:
-        A[:], B[:] = J[:, :n], J[:, n:]
+        split(J, A, B)
         return
     before_A, before_B = A.copy(), B.copy()
     for i in range(n):
@@ -90,14 +90,14 @@ def rollout_map(state, inputs, tables):
     states, outputs = np.empty((N + 1, n)), np.empty((N, p))
     x, powers = np.empty(n + m), np.empty(1 + n + m + len(tables.parent))
     seen = np.empty(1 + n + len(tables.output_parent))
-    states[0] = state
-    x[:n] = state
+    copy(state, states[0])
+    copy(state, x)
     for k in range(N):
-        x[n:] = inputs[k]
+        copy(inputs[k], x[n:])
         for _ in range(tables.repeats):
             powers_of(x, tables.parent, tables.variable, powers)
             table_product(tables.advance, powers, x[:n])
-        states[k + 1] = x[:n]
+        copy(x[:n], states[k + 1])
         powers_of(x[:n], tables.output_parent, tables.output_variable, seen)
         table_product(tables.output, seen, outputs[k])
     return states, outputs
@@ -112,16 +112,16 @@ def linearize_map(state, inputs, tables):
     A, B, C = np.empty((N, n, n)), np.empty((N, n, m)), np.empty((N, p, n))
     x, powers = np.empty(n + m), np.empty(1 + n + m + len(tables.parent))
     seen, J = np.empty(1 + n + len(tables.output_parent)), np.empty(n * (n + m))
-    states[0] = state
-    x[:n] = state
+    copy(state, states[0])
+    copy(state, x)
     for k in range(N):
-        x[n:] = inputs[k]
+        copy(inputs[k], x[n:])
         for repeat in range(tables.repeats):
             powers_of(x, tables.parent, tables.variable, powers)
             table_product(tables.advance_x, powers, J)
             _chain(J, A[k], B[k], n, m, repeat == 0)
             table_product(tables.advance, powers, x[:n])
-        states[k + 1] = x[:n]
+        copy(x[:n], states[k + 1])
         powers_of(x[:n], tables.output_parent, tables.output_variable, seen)
         table_product(tables.output, seen, outputs[k])
         table_product(tables.output_z, seen, C[k].reshape(-1))
@@ -150,7 +150,7 @@ def linearize_bilinear(state, inputs, tables):
     n, p = len(state), tables.C.shape[0]
     states, outputs = np.empty((N + 1, n)), np.empty((N, p))
     A, B, C, J = np.empty((N, n, n)), np.empty((N, n, m)), np.empty((N, p, n)), np.empty(n * (n + m))
-    states[0] = state
+    copy(state, states[0])
     for k in range(N):
         z = states[k].copy()
         for repeat in range(tables.repeats):
@@ -164,7 +164,8 @@ def linearize_bilinear(state, inputs, tables):
                 for j in range(m):
                     following[i] += tables.B[i, j] * inputs[k, j]
             z = following
-        states[k + 1], C[k] = z, tables.C
+        copy(z, states[k + 1])
+        copy(tables.C.reshape(-1), C[k].reshape(-1))
         table_product(tables.C, z, outputs[k])
     return states, outputs, A, B, C
 
@@ -175,7 +176,7 @@ def rollout_bilinear(state, inputs, tables):
     N, m = inputs.shape
     n, p = len(state), tables.C.shape[0]
     states, outputs = np.empty((N + 1, n)), np.empty((N, p))
-    states[0] = state
+    copy(state, states[0])
     for k in range(N):
         z = states[k].copy()
         for _ in range(tables.repeats):
@@ -189,7 +190,7 @@ def rollout_bilinear(state, inputs, tables):
                 for j in range(m):
                     following[i] += tables.B[i, j] * inputs[k, j]
             z = following
-        states[k + 1] = z
+        copy(z, states[k + 1])
         table_product(tables.C, z, outputs[k])
     return states, outputs
 
@@ -212,7 +213,7 @@ def condense_bilinear(state, inputs, acting, reference, tables, scale, weight, R
 def linear_states(state, driven, A):
     """States (N+1, n) of z⁺ = A z + driven[k], driven (N, n)."""
     states = np.empty((len(driven) + 1, len(state)))
-    states[0] = state
+    copy(state, states[0])
     for k in range(len(driven)):
         table_product(A, states[k], states[k + 1])
         for i in range(len(state)):

@@ -37,11 +37,11 @@ def replayed_shapes(plant, record: ClosedLoopRecord, samples: np.ndarray) -> np.
 def draw_robot(plant, record: ClosedLoopRecord, directory: Path, animate: bool = False, obstacles=()) -> list[Path]:
     """Save robot.svg, the robot at five instants, and robot.gif on demand; nothing for a plant that has no shape.
 
-    The tip is the plant's first marker. A reference is drawn where the task tracks coordinates of it alone, and circles
-    among the obstacles where that are two.
+    The tip is the plant's first marker; nothing is drawn where the record has not seen it. A reference is drawn where
+    the task tracks coordinates of it alone, and circles among the obstacles where that are two.
     """
     robot = getattr(plant, "plant", plant)
-    if not hasattr(robot, "positions"):
+    if not hasattr(robot, "positions") or tuple(record.output_names[:3]) != tuple(robot.output_names[:3]):
         return []
     last = len(record.time) - 1
     tip = record.observation[:, :3] + robot.rest[:3]

@@ -36,6 +36,7 @@ class Rig:
     noise_std: of every observed value, m.   sensor_delay: s, a multiple of h.   drop_probability: in [0, 1).
     dropped: "held" repeats the last sample that arrived to the last digit, "missing" gives NaN.
     actuator_lag: time constant, s.   cable_friction: μθ, 1; for inputs that only pull.
+    outputs: names of what the sensors see, in this order; None for all that the plant offers.
     rate_limit: input unit per s.   saturation: highest force reached, either way, input unit, within the bounds.
     Both are one number or (m,), None for no limit.
     state: the plant's, then sample number, a, x, T, observations on their way (oldest first), last sample that
@@ -46,7 +47,7 @@ class Rig:
 
     def __init__(self, plant: Plant, *, noise_std: float = 0.0, sensor_delay: float = 0.0,
                  drop_probability: float = 0.0, dropped: str = "held", actuator_lag: float = 0.0, rate_limit=None,
-                 saturation=None, cable_friction: float = 0.0):
+                 saturation=None, cable_friction: float = 0.0, outputs=None):
         if isinstance(plant, Rig):
             raise ValueError(f"the plant is {plant.name!r} already; expected one without, as both would draw the same "
                              "random numbers: give all settings to one rig")
@@ -54,7 +55,9 @@ class Rig:
             raise ValueError(f"dropped is {dropped!r}; expected one of {DROPPED}")
         self.plant, self.name = plant, f"{plant.name} on a rig"
         self.timestep, self.input_bounds, self.input_unit = plant.timestep, plant.input_bounds, plant.input_unit
-        self.output_names, self.input_names, self.rest = plant.output_names, plant.input_names, plant.rest
+        self._columns = _columns(outputs, plant)
+        self.output_names = tuple(plant.output_names[column] for column in self._columns)
+        self.input_names, self.rest = plant.input_names, plant.rest[self._columns]
         self.noise_std = _non_negative("noise_std", noise_std, "m")
         self.sensor_delay = _non_negative("sensor_delay", sensor_delay, "s")
         self.drop_probability = _probability(drop_probability)
@@ -70,7 +73,7 @@ class Rig:
         self._share_left = np.exp(-self.timestep / self.actuator_lag) if self.actuator_lag else 0.0
         self._slip = np.exp(self.cable_friction)
         self._key = _key(0)
-        self._memory = self._start(plant.displacement, self._key)
+        self._memory = self._start(self.displacement, self._key)
 
     @property
     def parameters(self) -> dict:
@@ -81,7 +84,8 @@ class Rig:
                 "noise_std": self.noise_std, "sensor_delay": self.sensor_delay,
                 "drop_probability": self.drop_probability, "dropped": self.dropped,
                 "actuator_lag": self.actuator_lag, "rate_limit": _plain(self.rate_limit),
-                "saturation": _plain(self.saturation), "cable_friction": self.cable_friction}
+                "saturation": _plain(self.saturation), "cable_friction": self.cable_friction,
+                "outputs": None if self.output_names == tuple(self.plant.output_names) else list(self.output_names)}
 
     @property
     def origin(self) -> dict:
@@ -90,7 +94,7 @@ class Rig:
 
     @property
     def displacement(self) -> np.ndarray:
-        return self.plant.displacement
+        return self.plant.displacement[self._columns]
 
     @property
     def applied(self) -> np.ndarray:
@@ -108,7 +112,7 @@ class Rig:
         seed = 0 if seed is None else seed
         key = _key(seed)
         if state is None:
-            memory = self._start(self.plant.reset(seed), key)
+            memory = self._start(self.plant.reset(seed)[self._columns], key)
         else:
             plant_state, memory = self._read(state)
             self.plant.reset(seed, plant_state)
@@ -120,7 +124,7 @@ class Rig:
         memory = self._memory
         u = finite_vector(input, len(self.input_names), "input")
         limited, lagged, transmitted = self._actuate(np.minimum(np.maximum(u, self._lowest), self._highest))
-        observation = np.array(self.plant.step(transmitted), dtype=np.float64)
+        observation = np.array(self.plant.step(transmitted), dtype=np.float64)[self._columns]
         newest, *queue = *memory.queue, observation
         lost, noise = self._draw(self._key, memory.sample + 1)
         self._memory = _Memory(memory.sample + 1, limited, lagged, transmitted, tuple(queue),
@@ -183,6 +187,14 @@ def rig(plant: Plant, **settings) -> Plant:
     built = Rig(plant, **settings)
     off = Rig(plant, dropped=built.dropped)
     return plant if built.parameters == off.parameters else built
+
+
+def _columns(outputs, plant: Plant) -> list[int]:
+    names = list(plant.output_names)
+    outputs = names if outputs is None else list(outputs)
+    if not outputs or len(set(outputs)) < len(outputs) or not set(outputs) <= set(names):
+        raise ValueError(f"outputs are {outputs}; expected some of {names}, each once")
+    return [names.index(output) for output in outputs]
 
 
 def _key(seed: int) -> np.ndarray:

@@ -95,6 +95,24 @@ def circle(amplitude: float = 0.010, angular_speed: float = 17.0, laps: float = 
     return Task(name, duration, tuple(tracked), path, obstacles)
 
 
+def rose(amplitude: float = 0.015, petals: int = 3, angular_speed: float = 2.0, laps: float = 2.0, ramp: float = 5.0,
+         tracked: Sequence[int | str] = (0, 1), name: str = "rose", obstacles=()) -> Task:
+    """a sin(p θ) (cos θ, sin θ), an odd number p of petals in half a turn of θ, from and to rest; arguments as above.
+
+    The long ramps give it slow and fast parts: a task to tune a controller on that none of the paper's repeats.
+    Raises ValueError for an even number of petals.
+    """
+    if petals % 2 != 1 or petals < 1:
+        raise ValueError(f"petals is {petals}; expected an odd number")
+    phase, duration = ramped_phase(2 * np.pi * laps, angular_speed, ramp)
+
+    def path(time):
+        theta = phase(time)
+        return amplitude * (np.sin(petals * theta) * np.stack([np.cos(theta), np.sin(theta)])).T
+
+    return Task(name, duration, tuple(tracked), path, obstacles)
+
+
 def ramped_phase(total: float, speed: float, ramp: float) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
     """A phase θ(t) from 0 to `total`, three times continuously differentiable, and its duration in s.
 

@@ -27,6 +27,7 @@ PLANTS = IDEAL | {
         SlowManifold(input_bounds=(0.1, 1.5)), noise_std=1e-4, sensor_delay=0.02, drop_probability=0.2,
         actuator_lag=0.03, rate_limit=20.0, saturation=1.2, cable_friction=0.1),
     "diamond on a rig": lambda: Rig(Diamond("diamond_coarse"), noise_std=1e-4, sensor_delay=0.01, cable_friction=0.2),
+    "trunk, two outputs on a rig": lambda: Rig(Trunk("trunk_coarse"), outputs=["tip_z", "tip_x"], sensor_delay=0.02),
 }
 
 

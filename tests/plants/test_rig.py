@@ -332,3 +332,23 @@ def test_friction_of_inputs_that_push_and_a_rig_on_a_rig_are_refused():
         Rig(Rig(SlowManifold(), noise_std=1e-4), noise_std=1e-4)
     with pytest.raises(ValueError, match="within the input bounds"):
         Rig(SlowManifold(input_bounds=(0.5, 1.0)), saturation=0.4)
+
+
+# outputs
+
+def test_a_rig_that_sees_some_outputs_sees_them_as_the_plant_has_them_and_in_the_order_asked_for():
+    plant, inputs = SlowManifold(), random_inputs(50)
+    names = [plant.output_names[4], plant.output_names[0]]
+    seen = Rig(SlowManifold(), outputs=names)
+    assert seen.output_names == tuple(names) and seen.rest.tolist() == plant.rest[[4, 0]].tolist()
+    np.testing.assert_array_equal(run(seen, inputs), run(plant, inputs)[:, [4, 0]])
+    assert seen.parameters["outputs"] == names and Rig(plant).parameters["outputs"] is None
+    assert isinstance(rig(plant, outputs=names), Rig) and rig(plant, outputs=list(plant.output_names)) is plant
+
+
+@pytest.mark.parametrize("outputs", [[], ["elsewhere"], "repeated"])
+def test_outputs_that_the_plant_does_not_have_are_refused_with_those_that_it_has(outputs):
+    plant = SlowManifold()
+    outputs = [plant.output_names[0]] * 2 if outputs == "repeated" else outputs
+    with pytest.raises(ValueError, match=f"expected some of .*{plant.output_names[0]}.*each once"):
+        Rig(plant, outputs=outputs)
