@@ -74,11 +74,13 @@ def save(path: Path, rows: list[dict], columns: list[str]) -> None:
 
 
 def save_best(directory: Path, best: dict, first: str, choices) -> None:
-    """best.yaml: what was tuned before, and over it the best job's overrides of model, fit and derivative."""
+    """best.yaml: what was tuned before (unless ~tuned left it out), and over it the best job's overrides of model, fit
+    and derivative.
+    """
     if not isinstance(best.get(first), float):  # every job failed
         return
     before = Path(CONF) / "tuned" / str(choices.get("experiment")) / f"{choices.model}.yaml"
-    settings = OmegaConf.load(before) if before.is_file() else OmegaConf.create()
+    settings = OmegaConf.load(before) if choices.get("tuned") and before.is_file() else OmegaConf.create()
     groups = []
     for override in overrides_of(directory, best):
         section, _, rest = override.key_or_group.partition(".")
