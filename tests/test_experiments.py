@@ -227,7 +227,7 @@ def test_a_model_of_the_tip_controls_a_robot_that_shows_more(trunk_line):
         "task.half_size=0.008", "progress=false", "hydra.run.dir=tip_control", cwd=at)
     record = ClosedLoopRecord.load(at / "tip_control" / "record.h5")
     assert record.observation.shape[1] == 3 and (at / "tip_control" / "robot.svg").is_file()
-    assert json.loads((at / "tip_control" / "metrics.json").read_text())["rmse"] < 3e-3
+    assert json.loads((at / "tip_control" / "metrics.json").read_text())["rmse"] < 4e-3
 
 
 @pytest.mark.slow
