@@ -23,6 +23,8 @@ METHODS = {
     "EDMD bilinear": ("#8C510A", "--"), "EDMD relift": ("#F4A582", "-."),
     "persistence": ("#999999", "--"), "constant velocity": ("#666666", ":"), "reference": ("#000000", "--"),
     "measured": ("#000000", "-")}
+# other names of the same methods
+ALIASES = {"control-augmented SSMR": "SSMR control augmented", "static pregain": "Koopman LQR"}
 SPARE_COLOURS = ("#332288", "#999933", "#AA4499", "#44AA99", "#661100", "#DDCC77")
 STYLE = {"font.size": 8, "axes.titlesize": 8, "axes.titleweight": "bold", "legend.fontsize": 8,
          "legend.frameon": False, "lines.linewidth": 1.3, "axes.linewidth": 0.7, "axes.spines.top": False,
@@ -52,6 +54,7 @@ def _plain(name: str) -> str:
 
 
 _LOOKS = {_plain(name): own for name, own in METHODS.items()}
+_LOOKS |= {_plain(alias): METHODS[name] for alias, name in ALIASES.items()}
 
 
 def colours(names: Iterable[str]) -> dict[str, str]:
