@@ -89,7 +89,7 @@ def obstacle_paths(runs: Mapping[str, Mapping], axis_names: tuple[str, str]) -> 
         path, obstacles = MM * np.asarray(run["path"]), MM * np.asarray(run["obstacles"]).reshape(-1, 3)
         for x, y, radius in obstacles:
             axes.add_patch(figures.Circle((x, y), radius, facecolor="#DDDDDD", edgecolor="#999999", linewidth=0.5,
-                                          rasterized=True))
+                                          antialiased=False, rasterized=True))
         draw_paths(axes, MM * np.asarray(run["reference"]), [path], name, run.get("note"))
         apart = np.linalg.norm(path[:, None] - obstacles[None, :, :2], axis=-1) - obstacles[:, 2]
         axes.plot(*np.where((apart < 0).any(axis=1, keepdims=True), path, np.nan).T, color=BAD, linewidth=1.5)
