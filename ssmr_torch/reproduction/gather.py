@@ -1,0 +1,47 @@
+"""Rows of the reproduction's tables: one per closed loop, one per model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+RUN_COLUMNS = ("figure", "robot", "method", "task", "seed", "period", "real_time", "ise", "rmse", "max_error",
+               "violation_ratio", "max_violation", "solve_median", "solve_p99", "fallbacks", "record")
+MODEL_COLUMNS = ("robot", "method", "state_dim", "parameters", "decays", "controlled_samples", "fit_time", "timestep",
+                 "delays", "command")
+
+
+def run_row(about: Mapping, metrics: Mapping[str, float | None], record: str) -> dict:
+    """One closed loop, by `RUN_COLUMNS`: SI units; None for what does not exist or is not finite.
+
+    about: figure, robot, method, task, seed, period (s) of the job. metrics: as `closed_loop_metrics` gives them.
+    real_time: whether 99 % of the solve times fit into the period. record: path of the record.
+    """
+    p99 = metrics["solve_time_p99"]
+    row = dict(about) | {"real_time": "true" if p99 is not None and p99 <= about["period"] else "false",
+                         "solve_median": metrics["solve_time_median"], "solve_p99": p99, "record": record}
+    row |= {name: metrics.get(name) for name in ("ise", "rmse", "max_error", "violation_ratio", "max_violation")}
+    row["fallbacks"] = int(metrics["fallbacks"])
+    return {name: _finite(row[name]) for name in RUN_COLUMNS}
+
+
+def model_row(about: Mapping, cost: Mapping[str, float], model: Mapping[str, float], command: str) -> dict:
+    """One model, by `MODEL_COLUMNS`; times in s.
+
+    about: robot and method of the job. cost: as `cost_of` and the training give it. model: timestep and delays, as on
+    an artifact's card. command: how its settings were found.
+    """
+    counts = {name: int(cost[name]) for name in ("state_dim", "parameters", "decays", "controlled_samples")}
+    row = {"robot": about["robot"], "method": about["method"], **counts, "fit_time": cost["fit_time"],
+           "timestep": model["timestep"], "delays": model["delays"], "command": command}
+    return {name: _finite(row[name]) for name in MODEL_COLUMNS}
+
+
+def note_of(tuned: str) -> str:
+    """What a file of conf/tuned says of how it was found: its comments, without the package line."""
+    comments = [line.removeprefix("#").strip() for line in tuned.splitlines() if line.startswith("#")]
+    return " ".join(comment for comment in comments if not comment.startswith("@package"))
+
+
+def _finite(value):
+    return None if isinstance(value, float) and not math.isfinite(value) else value

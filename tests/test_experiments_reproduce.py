@@ -1,0 +1,150 @@
+"""The paper from one command, in miniature, through processes of its own: whole, killed and resumed, with a failure."""
+
+import csv
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from ssmr_torch.closed_loop import ClosedLoopRecord
+from ssmr_torch.reproduction.plan import plan
+
+ROOT = Path(__file__).resolve().parents[1]
+CONF, SCRIPT = ROOT / "conf", ROOT / "experiments" / "reproduce.py"
+PRESETS = sorted(path.stem for path in (CONF / "preset").glob("*.yaml"))
+UNSTEADY = {"solve_median", "solve_p99", "real_time", "fit_time"}  # wall times
+
+
+def start(*arguments: str) -> subprocess.CompletedProcess:
+    return subprocess.run([sys.executable, str(SCRIPT), "preset=miniature", *arguments], capture_output=True, text=True)
+
+
+def reproduce(directory: Path, *arguments: str) -> str:
+    done = start(f"hydra.run.dir={directory}", *arguments)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def rows(path: Path) -> list[dict]:
+    """Of a table, without what a clock says; runs at a longer period, which a clock has asked for, are left out."""
+    with open(path, newline="") as file:
+        found = [row for row in csv.DictReader(file) if row.get("period", "0.02") == "0.02"]
+    return [{name: value for name, value in row.items() if name not in UNSTEADY} for row in found]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("whole")
+    reproduce(directory)
+    return directory
+
+
+@pytest.fixture(autouse=True)
+def configurations():
+    OmegaConf.register_new_resolver("upper", str.upper, replace=True)
+
+
+@pytest.mark.slow
+def test_one_command_leaves_data_models_scores_closed_loops_tables_and_the_report(whole):
+    assert (whole / "report.html").is_file() and (whole / "delays" / "trunk" / "delays.json").is_file()
+    assert {(row["robot"], row["method"]) for row in rows(whole / "models.csv")} == {
+        ("trunk", "SSMR"), ("trunk", "SSSR"), ("trunk", "DMD"), ("hardware", "SSSR"), ("hardware", "static pregain")}
+    runs = rows(whole / "runs.csv")
+    assert {figure: sum(row["figure"] == figure for row in runs) for figure in ("fig7", "fig9", "fig11")} == {
+        "fig7": 3, "fig9": 6, "fig11": 2}
+    for row in runs:
+        assert ClosedLoopRecord.load(whole / row["record"]).provenance["model"] == row["method"]
+        assert (row["violation_ratio"] != "") == (row["figure"] == "fig9")
+    with h5py.File(whole / "open_loop" / "trunk.h5") as file:
+        assert set(file["error"]) == {"SSMR", "SSSR", "DMD"} and file["position"].shape == (50, 3)
+        assert all(errors.shape == (50,) for errors in file["error"].values())
+    assert not (whole / "unfinished").exists()
+
+
+@pytest.mark.slow
+def test_the_same_command_runs_nothing_twice(whole):
+    before = {path: path.stat().st_mtime_ns for path in (whole / "jobs").rglob("*.json")}
+    products = {path: path.stat().st_mtime_ns for pattern in ("*.h5", "*.ckpt", "metrics.json")
+                for path in whole.rglob(pattern)}
+    reproduce(whole)
+    assert before == {path: path.stat().st_mtime_ns for path in (whole / "jobs").rglob("*.json")}
+    assert all(path.stat().st_mtime_ns == then for path, then in products.items())
+
+
+@pytest.mark.slow
+def test_killed_and_resumed_it_finds_the_same_numbers_to_the_last_digit(whole, tmp_path):
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason="needs pip install 'ssmr_torch[parallel]'")
+    command = [sys.executable, str(SCRIPT), "preset=miniature", f"hydra.run.dir={tmp_path}"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    while process.poll() is None and len(list((tmp_path / "models").rglob("card.json"))) < 2:
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "jobs" / "data").rglob("*.json")}
+    assert len(kept) == 2 and not (tmp_path / "runs.csv").exists()
+    reproduce(tmp_path, "launcher=basic")
+    assert all(path.stat().st_mtime_ns == then for path, then in kept.items())
+    for table in ("models.csv", "runs.csv"):
+        assert rows(tmp_path / table) == rows(whole / table)
+
+
+@pytest.mark.slow
+def test_a_failing_job_is_reported_and_missing_and_stops_no_other(whole, tmp_path):
+    elsewhere = tmp_path / "a copy"
+    shutil.copytree(whole, elsewhere)
+    done = start(f"hydra.run.dir='{elsewhere}'", "preset.train.DMD=[model.delays=10000]", "figures=[fig5,fig7]",
+                 "launcher=basic")
+    assert done.returncode == 1 and "models/trunk/DMD: " in done.stderr and "Traceback" not in done.stderr
+    assert "1 jobs were left out" in done.stderr
+    assert [row["method"] for row in rows(elsewhere / "runs.csv") if row["figure"] == "fig7"] == ["SSMR", "SSSR"]
+    assert "DMD" not in {row["method"] for row in rows(elsewhere / "models.csv")}
+    kept = [path for path in (elsewhere / "runs" / "fig7").rglob("metrics.json") if "DMD" not in str(path)]
+    assert len(kept) >= 2 and all(
+        path.stat().st_mtime_ns == (whole / path.relative_to(elsewhere)).stat().st_mtime_ns for path in kept)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["figures=fig13"], "figures is 'fig13'; expected all or some of table1, fig3"),
+    (["launcher.module=hydra_plugins.nowhere"], "needs pip install 'ssmr_torch[parallel]'"),
+    (["preset.figures.fig7.robot=snake"], "no robot 'snake'; the settings have trunk, hardware"),
+])
+def test_bad_input_ends_in_one_clear_message_before_any_work(tmp_path, arguments, message):
+    done = start(*arguments, f"hydra.run.dir={tmp_path}")
+    assert done.returncode != 0 and message in done.stderr and "Traceback" not in done.stderr, done.stderr
+    assert not (tmp_path / "jobs").exists()
+
+
+@pytest.mark.parametrize("launcher", sorted(path.stem for path in (CONF / "launcher").glob("*.yaml")))
+def test_every_launcher_names_a_plugin_and_how_to_get_it(launcher):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        config = compose("reproduce", [f"launcher={launcher}", "workers=3"])
+    chosen = OmegaConf.to_container(config.launcher, resolve=True)
+    assert set(chosen) == {"plugin", "module", "install", "settings"}
+    assert launcher in chosen["plugin"] and (3 in chosen["settings"].values()) == (launcher != "basic")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_job_of_every_preset_composes(preset):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        settings = OmegaConf.to_container(compose("reproduce", [f"preset={preset}"]).preset, resolve=True)
+        assert settings["name"] == preset
+        for jobs in plan(settings).values():
+            for step in (step for job in jobs if job.about.get("seed", 0) == 0 for step in job.steps):
+                compose(step.entry, list(step.overrides))
+
+
+def test_the_quick_preset_makes_every_figure_of_the_paper():
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        for preset in ("quick", "paper"):
+            figures = compose("reproduce", [f"preset={preset}"]).preset.figures
+            assert list(figures) == ["table1", *(f"fig{number}" for number in range(3, 13))]
