@@ -170,13 +170,13 @@ def name_axes(figure, grid: Sequence, across: str, upwards: str) -> None:
 
 
 def plain_ticks(axis, low: float, high: float) -> None:
-    """Plain numbers on a logarithmic axis: decades, every second or third of many; else 1, 2, 5; else three between."""
+    """Plain numbers on a logarithmic axis: decades, every second or third of many; with two 1, 3; else 1, 2, 5."""
     decades = 10.0 ** np.arange(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     decades = decades[(decades >= low * (1 - 1e-9)) & (decades <= high * (1 + 1e-9))]
     ticks = decades[::math.ceil(len(decades) / 5)] if len(decades) else decades
     if len(decades) < 3:
         ticks = [float(f"{tick:.1g}") for decade in range(math.floor(math.log10(low)), math.ceil(math.log10(high)))
-                 for tick in (10.0 ** decade, 2 * 10.0 ** decade, 5 * 10.0 ** decade)]
+                 for tick in np.array([1.0, 3.0] if len(decades) == 2 else [1.0, 2.0, 5.0]) * 10.0 ** decade]
         ticks = [tick for tick in ticks if low <= tick <= high]
     if len(ticks) < 2:
         ticks = [float(f"{tick:.2g}") for tick in np.geomspace(low, high, 5)[1:-1]]

@@ -128,7 +128,8 @@ def _parts(figure: str, directory: Path, results: Results) -> list:
 
 def _model_parts(results: Results) -> list:
     rows = []
-    for row in results.models:
+    order = _ordered({row["method"] for row in results.models}, [row["method"] for row in results.models])
+    for row in sorted(results.models, key=lambda row: (row["robot"], order.index(row["method"]))):
         printed = published.TABLE_1.get(row["robot"], {}).get(row["method"])
         rows.append([row["robot"], row["method"], _known(row["state_dim"]), printed and printed.dimension,
                      _known(row["controlled_samples"]), printed and printed.transitions, _known(row["decays"]),
@@ -220,7 +221,7 @@ def _loop_parts(figure: str, directory: Path, results: Results) -> list:
         return []
     among_obstacles = figure in ("fig9", "fig12")
     save, parts = _saver(directory), [_loop_table(figure, places)]
-    relative = {task: {name: [run.ise for run in own] for name, own in methods.items()}
+    relative = {task: {name: [run.ise for run in methods[name]] for name in _ordered(methods, methods)}
                 for (_, task), methods in places.items()
                 if REFERENCE in methods and math.isfinite(tally(methods[REFERENCE]).ise)}
     for (robot, task), methods in places.items():

@@ -104,12 +104,12 @@ def test_ssmr_and_sssr_on_every_front_is_what_is_judged_of_accuracy_and_time(sss
 
 def test_among_obstacles_error_time_inside_and_depth_must_all_be_lowest():
     def among(depth):
-        return [run("fig9", "SSMR", 1.0, inside=0.01, depth=1e-4), run("fig9", "SSSR", 2.0, inside=0.02, depth=depth)]
+        return [run("fig9", "SSMR", 1.0, inside=0.01, depth=1e-4), run("fig9", "EDMD", 2.0, inside=0.02, depth=depth)]
     assert judge("fig9", Results(among(2e-4))).verdict == "reproduced"
     found = judge("fig9", Results(among(5e-5)))
     assert found.verdict == "refuted"
     assert "lowest in 2 of 3" in found.reason and "0.1 mm against 0.05 mm" in found.reason
-    never = [run("fig12", "SSMR", 1.0), run("fig12", "SSSR", 2.0)]
+    never = [run("fig12", "SSMR", 1.0), run("fig12", "TPWL", 2.0)]
     assert judge("fig12", Results(never)).verdict == "reproduced"
 
 
@@ -125,6 +125,12 @@ def test_the_dimension_is_judged_on_every_robot():
     found = judge("table1", Results(models=[*trunk, model("SSMR", 12, "hardware"), model("EDMD", 66, "hardware"),
                                             model("static pregain", 6, "hardware")]))
     assert found.verdict == "refuted" and "hardware 12 against 6 of static pregain" in found.reason
+
+
+@pytest.mark.parametrize("figure", ["fig6", "fig7", "fig8", "fig9", "fig11", "fig12"])
+def test_ssmr_beside_sssr_alone_is_not_judged_as_a_baseline_is_missing(figure):
+    verdict, reason = judge(figure, Results([run(figure, "SSMR", 1.0), run(figure, "SSSR", 2.0)]))
+    assert verdict == "not judged" and "a baseline" in reason
 
 
 @pytest.mark.parametrize("figure", FIGURES)
