@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from time import perf_counter
+from time import thread_time
 
 import h5py
 import numpy as np
@@ -26,8 +26,8 @@ class ClosedLoopRecord:
     time (T,) s; reference (T, q) m in the columns `tracked` of the outputs; observation (T, p) m, where the plant
     truly was; measurement (T, p) m, what the controller saw of it, NaN where a sample was missing; input (T, m),
     commanded from time[k] to time[k+1]. fallback (T,) whether the controller fell back; statuses (T,) name of the
-    Status, empty where nothing was decided; solve_time (T,) s spent in the controller, and iterations (T,) programs
-    solved; NaN and 0 where an input was held.
+    Status, empty where nothing was decided; solve_time (T,) s of CPU time that the controller took, which other work on
+    the machine does not lengthen, and iterations (T,) programs solved; NaN and 0 where an input was held.
     """
 
     time: np.ndarray
@@ -112,9 +112,9 @@ def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, 
     sample = np.array(plant.reset(seed), dtype=np.float64)
     truth, samples, commands, durations = [], [], [], []
     for k in tqdm(range(len(time)), desc=task.name, disable=not progress):
-        start = perf_counter()
+        start = thread_time()
         command = controller(float(time[k]), sample + noise[k])
-        durations.append(perf_counter() - start)
+        durations.append(thread_time() - start)
         truth.append(np.array(plant.displacement, dtype=np.float64))
         samples.append(sample)
         commands.append(command)
