@@ -9,7 +9,7 @@ PLANT_quick := trunk_coarse
 PLANT_full := trunk
 PLANT := $(or $(PLANT_$(PRESET)),$(error PRESET is $(PRESET); expected quick or full))
 
-.PHONY: run test lint benchmark clean
+.PHONY: run test lint docs benchmark clean
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -m venv .venv
@@ -35,6 +35,9 @@ test: .venv/installed
 
 lint: .venv/installed
 	$(BIN)/ruff check .
+
+docs: .venv/installed
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 benchmark: .venv/installed
 	$(BIN)/python experiments/benchmarks/fit.py

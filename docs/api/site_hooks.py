@@ -1,0 +1,37 @@
+"""What mkdocs needs beyond its plugins: README and CHANGELOG as pages, and formulas without a script.
+
+README.md and CHANGELOG.md lie above docs/; they become the pages readme.md and changes.md, and links to them are
+rewritten. Formulas in $…$ become MathML, which browsers draw themselves: the site needs no network.
+"""
+
+import re
+from html import unescape
+from pathlib import Path
+
+from latex2mathml.converter import convert
+from mkdocs.structure.files import File
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = {"readme.md": "README.md", "changes.md": "CHANGELOG.md"}
+FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
+
+
+def on_files(files, config):
+    """Add the pages that are made of files above docs/."""
+    for page, source in PAGES.items():
+        text = (ROOT / source).read_text(encoding="utf-8")
+        files.append(File.generated(config, page, content=text.replace("](docs/", "](")))
+    return files
+
+
+def on_page_markdown(markdown, page, config, files):
+    """Point links to the files above docs/ at the pages made of them."""
+    up = "../" * page.file.src_uri.count("/")
+    for name, source in PAGES.items():
+        markdown = re.sub(rf"\]\((\.\./)*{source}", f"]({up}{name}", markdown)
+    return markdown
+
+
+def on_page_content(html, page, config, files):
+    """Formulas as MathML."""
+    return FORMULA.sub(lambda found: convert(unescape(found[2]), "block" if found[1] == "div" else "inline"), html)
