@@ -15,12 +15,12 @@ import sys
 import time
 from contextlib import contextmanager
 from dataclasses import asdict
-from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from inspect import unwrap
 from pathlib import Path
 
+import h5py
 from entry import CONF, entry_point, save_json
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
@@ -29,11 +29,14 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf, open_dict, read_write
 from tqdm import tqdm
 
+from ssmr_torch import artifact
 from ssmr_torch.provenance import provenance
 from ssmr_torch.reproduction.gather import MODEL_COLUMNS, RUN_COLUMNS, model_row, note_of, run_row
+from ssmr_torch.reproduction.open_loop import map_open_loop
 from ssmr_torch.reproduction.plan import STAGES, Job, Step, chosen, keys, plan, quoted, slower_runs
 
 SINGLE = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+TEXTS: dict[str, str] = {}  # of configuration files; no functools.cache, which a launcher could not pickle
 PARTIAL = "with what there was"  # in place of the hash of a job that some of its needs were missing for
 
 
@@ -41,13 +44,14 @@ PARTIAL = "with what there was"  # in place of the hash of a job that some of it
 def main(config, directory):
     if config.job is not None:
         return perform(Path(config.plan), config.job)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit("reproduce: ended by a signal; the same command goes on"))
+    for ended in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ended, lambda *_: sys.exit("reproduce: ended by a signal; the same command goes on"))
     settings = OmegaConf.to_container(config.preset, resolve=True)
     wanted = config.figures if isinstance(config.figures, str) else list(config.figures or [])
     figures, stages = chosen(settings, wanted), plan(settings, wanted)
-    if find_spec(config.launcher.module) is None:
-        raise ValueError(f"launcher={HydraConfig.get().runtime.choices.launcher} needs {config.launcher.install}; "
-                         "launcher=basic runs one job after the other")
+    for module, install in ({config.launcher.module: config.launcher.install} | settings["needs"]).items():
+        if find_spec(module) is None:
+            raise ValueError(f"{module} is not installed: {install}; launcher=basic needs no launcher's plugin")
     with locked(directory):
         failures = run_all(config, directory, settings, stages)
         tables(directory, settings)
@@ -65,8 +69,7 @@ def locked(directory: Path):
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise ValueError(f"another command works in {directory}; wait for it, or take another hydra.run.dir") \
-                from error
+            raise ValueError(f"another command works in {directory}; wait, or take another hydra.run.dir") from error
         for path in (directory / "jobs").glob("plan-*.json"):
             path.unlink()
         try:
@@ -151,11 +154,12 @@ def written(step: Step) -> str:
     return "".join(map(text_of, [f"{step.entry}.yaml", f"tuned/{tuned}.yaml", *choices]))
 
 
-@cache
 def text_of(file: str) -> str:
     """A configuration file as it was when this command first looked; empty where there is none."""
-    path = Path(CONF) / file
-    return path.read_text() if path.is_file() else ""
+    if file not in TEXTS:
+        path = Path(CONF) / file
+        TEXTS[file] = path.read_text() if path.is_file() else ""
+    return TEXTS[file]
 
 
 def is_done(directory: Path, job: Job, key: str) -> bool:
@@ -179,7 +183,7 @@ def perform(listed: Path, number: int) -> float | None:
     torch.set_num_threads(1)
     stored = read(listed)
     root, job = Path(stored["root"]), stored["jobs"][number]
-    begun, target = time.perf_counter(), root / job["name"]
+    begun, busy, target = time.perf_counter(), time.process_time(), root / job["name"]
     places = {"collect": target, "evaluate": target.parent}  # these leave nothing half done by themselves
     aside = places.get(job["steps"][0]["entry"], root / "unfinished" / f"{os.getpid()}" / job["name"])
     try:
@@ -189,7 +193,8 @@ def perform(listed: Path, number: int) -> float | None:
             shutil.rmtree(target, ignore_errors=True)
             target.parent.mkdir(parents=True, exist_ok=True)
             os.replace(aside, target)
-        note = {"key": job["key"], "seconds": time.perf_counter() - begun, "steps": job["steps"]}
+        note = {"key": job["key"], "seconds": time.perf_counter() - begun, "cpu_seconds": time.process_time() - busy,
+                "steps": job["steps"]}
     except Exception as error:
         cause = error.__cause__ or error
         kind = "" if isinstance(cause, (ValueError, OSError)) else f"{type(cause).__name__}: "
@@ -236,11 +241,6 @@ def configured(entry: str, overrides: list[str], directory: Path):
 
 def open_loop(config, directory: Path, artifacts: dict[str, Path], robot: str) -> None:
     """ROBOT.h5 and ROBOT.json: errors and scores of those models that there are."""
-    import h5py
-
-    from ssmr_torch import artifact
-    from ssmr_torch.reproduction.open_loop import map_open_loop
-
     loaded = {name: artifact.load(path) for name, path in artifacts.items() if path.is_dir()}
     if not loaded:
         raise ValueError(f"none of {', '.join(artifacts)} was trained")

@@ -1,6 +1,7 @@
 """The paper from one command, in miniature, through processes of its own: whole, killed and resumed, with a failure."""
 
 import csv
+import json
 import os
 import shutil
 import signal
@@ -42,6 +43,8 @@ def rows(path: Path) -> list[dict]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
+    for module in ("hydra_plugins.hydra_joblib_launcher", "daqp"):
+        pytest.importorskip(module, reason="needs pip install 'ssmr_torch[parallel,daqp]'")
     directory = tmp_path_factory.mktemp("whole")
     reproduce(directory)
     return directory
@@ -81,7 +84,6 @@ def test_the_same_command_runs_nothing_twice(whole):
 
 @pytest.mark.slow
 def test_killed_and_resumed_it_finds_the_same_numbers_to_the_last_digit(whole, tmp_path):
-    pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason="needs pip install 'ssmr_torch[parallel]'")
     command = [sys.executable, str(SCRIPT), "preset=miniature", f"hydra.run.dir={tmp_path}"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     while process.poll() is None and len(list((tmp_path / "models").rglob("card.json"))) < 2:
@@ -94,6 +96,9 @@ def test_killed_and_resumed_it_finds_the_same_numbers_to_the_last_digit(whole, t
     assert all(path.stat().st_mtime_ns == then for path, then in kept.items())
     for table in ("models.csv", "runs.csv"):
         assert rows(tmp_path / table) == rows(whole / table)
+    for path in (whole / "models").rglob("card.json"):
+        again = tmp_path / path.relative_to(whole)
+        assert json.loads(again.read_text())["sha256"] == json.loads(path.read_text())["sha256"]
 
 
 @pytest.mark.slow
@@ -114,7 +119,7 @@ def test_a_failing_job_is_reported_and_missing_and_stops_no_other(whole, tmp_pat
 @pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "message"), [
     (["figures=fig13"], "figures is 'fig13'; expected all or some of table1, fig3"),
-    (["launcher.module=hydra_plugins.nowhere"], "needs pip install 'ssmr_torch[parallel]'"),
+    (["launcher.module=hydra_plugins.nowhere"], "hydra_plugins.nowhere is not installed: pip install 'ssmr_torch[parallel]'"),
     (["preset.figures.fig7.robot=snake"], "no robot 'snake'; the settings have trunk, hardware"),
 ])
 def test_bad_input_ends_in_one_clear_message_before_any_work(tmp_path, arguments, message):
