@@ -1,7 +1,8 @@
-"""What mkdocs needs beyond its plugins: README and CHANGELOG as pages, and formulas without a script.
+"""What mkdocs needs beyond its plugins: README and CHANGELOG as pages, formulas without a script, lines of docstrings.
 
 README.md and CHANGELOG.md lie above docs/; they become the pages readme.md and changes.md, and links to them are
-rewritten. Formulas in $…$ become MathML, which browsers draw themselves: the site needs no network.
+rewritten. Formulas in $…$ become MathML, which browsers draw themselves: the site needs no network. Where a line of a
+docstring says what an argument is, it begins a line on the page as well.
 """
 
 import re
@@ -14,6 +15,9 @@ from mkdocs.structure.files import File
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = {"readme.md": "README.md", "changes.md": "CHANGELOG.md"}
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
+
+PARAGRAPH = re.compile(r"<p>.*?</p>", re.DOTALL)
+ARGUMENT = re.compile(r"\n(?=(?:\w[\w, ]{0,40}(?: \([^)\n]*\))?: |Raises ))")
 
 
 def on_files(files, config):
@@ -33,5 +37,8 @@ def on_page_markdown(markdown, page, config, files):
 
 
 def on_page_content(html, page, config, files):
-    """Formulas as MathML."""
-    return FORMULA.sub(lambda found: convert(unescape(found[2]), "block" if found[1] == "div" else "inline"), html)
+    """Formulas as MathML; on the pages of the API, arguments on lines of their own."""
+    html = FORMULA.sub(lambda found: convert(unescape(found[2]), "block" if found[1] == "div" else "inline"), html)
+    if page.file.src_uri.startswith("api/"):
+        html = PARAGRAPH.sub(lambda found: ARGUMENT.sub("<br>\n", found[0]), html)
+    return html

@@ -41,7 +41,7 @@ def rate(state, torque):
 # --8<-- [end:pendulum]
 
 
-def simulate(start, torque, timestep=TIMESTEP, substeps=10):
+def simulate(start, torque, timestep=TIMESTEP, substeps=5):
     """States (..., T, 2) from starts (..., 2) under held torques (T,), by Runge-Kutta steps of order four."""
     states, h = [np.asarray(start, dtype=np.float64)], timestep / substeps
     for u in torque[:-1]:
@@ -73,7 +73,7 @@ def upright_branch():
     """(angles, velocities), both of the trajectory that leaves the upright position: what decays collapse on."""
     growth = -DAMPING / 2 + np.sqrt(DAMPING**2 / 4 + STIFFNESS)
     offset = 1e-6
-    path = simulate([np.pi - offset, -offset * growth], np.zeros(16000), timestep=1e-3, substeps=1)[::-1]
+    path = simulate([np.pi - offset, -offset * growth], np.zeros(8000), timestep=2e-3, substeps=1)[::-1]
     return np.append(0.0, path[:, 0]), np.append(0.0, path[:, 1])
 
 
