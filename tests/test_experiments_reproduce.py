@@ -119,7 +119,7 @@ def test_a_failing_job_is_reported_and_missing_and_stops_no_other(whole, tmp_pat
 @pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "message"), [
     (["figures=fig13"], "figures is 'fig13'; expected all or some of table1, fig3"),
-    (["launcher.module=hydra_plugins.nowhere"], "hydra_plugins.nowhere is not installed: pip install 'ssmr_torch[parallel]'"),
+    (["launcher.module=hydra_plugins.nowhere"], "nowhere is not installed: pip install 'ssmr_torch[parallel]'"),
     (["preset.figures.fig7.robot=snake"], "no robot 'snake'; the settings have trunk, hardware"),
 ])
 def test_bad_input_ends_in_one_clear_message_before_any_work(tmp_path, arguments, message):
