@@ -49,7 +49,7 @@ def main(config, directory):
     settings = OmegaConf.to_container(config.preset, resolve=True)
     wanted = config.figures if isinstance(config.figures, str) else list(config.figures or [])
     figures, stages = chosen(settings, wanted), plan(settings, wanted)
-    for module, install in ({config.launcher.module: config.launcher.install} | settings["needs"]).items():
+    for module, install in ({config.launcher.module: config.launcher.install} | settings.get("needs", {})).items():
         if find_spec(module) is None:
             raise ValueError(f"{module} is not installed: {install}; launcher=basic needs no launcher's plugin")
     with locked(directory):
