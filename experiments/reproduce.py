@@ -57,7 +57,7 @@ def main(config, directory):
         tables(directory, settings)
         report(directory, figures)
     if failures:
-        raise SystemExit("\n".join([f"{len(failures)} jobs failed, the same command tries them again:", *failures]))
+        raise SystemExit("\n".join(["reproduce: something failed, and the same command tries it again", *failures]))
     return 0.0
 
 

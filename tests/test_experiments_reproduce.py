@@ -105,7 +105,7 @@ def test_killed_and_resumed_it_finds_the_same_numbers_to_the_last_digit(whole, t
 def test_a_failing_job_is_reported_and_missing_and_stops_no_other(whole, tmp_path):
     elsewhere = tmp_path / "a copy"
     shutil.copytree(whole, elsewhere)
-    done = start(f"hydra.run.dir='{elsewhere}'", "preset.train.DMD=[model.delays=10000]", "figures=[fig5,fig7]",
+    done = start(f"hydra.run.dir='{elsewhere}'", "+preset.train.DMD=['model.timestep=0.013']", "figures=[fig5,fig7]",
                  "launcher=basic")
     assert done.returncode == 1 and "models/trunk/DMD: " in done.stderr and "Traceback" not in done.stderr
     assert "1 jobs were left out" in done.stderr
