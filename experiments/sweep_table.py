@@ -38,10 +38,11 @@ class SweepTable(Callback):
             draw_study(directory, config.study)
         elif any("parameters" in row for row in rows):
             figures.save(study_figures.ranking(rows, first), directory / "sweep.svg")
-        if choices.get("sweep"):
-            save_best(directory, rows[0], first, choices)
-        if choices.get("tuning"):
-            save_controller(directory, rows[0], first, choices)
+        searched = {"sweep": save_best, "tuning": save_controller}
+        for kind, save_settings in searched.items():
+            if choices.get(kind) and isinstance(rows[0].get(first), float):  # else every job failed
+                note = f"Found by {kind}={choices[kind]}: {first} {rows[0][first]:.4g} in job {rows[0]['job']}."
+                save_settings(directory, rows[0], note, choices)
         show(directory, rows, columns, first)
 
 
@@ -73,12 +74,10 @@ def save(path: Path, rows: list[dict], columns: list[str]) -> None:
         writer.writerows(rows)
 
 
-def save_best(directory: Path, best: dict, first: str, choices) -> None:
+def save_best(directory: Path, best: dict, note: str, choices) -> None:
     """best.yaml: what was tuned before (unless ~tuned left it out), and over it the best job's overrides of model, fit
     and derivative.
     """
-    if not isinstance(best.get(first), float):  # every job failed
-        return
     before = Path(CONF) / "tuned" / str(choices.get("experiment")) / f"{choices.model}.yaml"
     settings = OmegaConf.load(before) if choices.get("tuned") and before.is_file() else OmegaConf.create()
     groups = []
@@ -89,21 +88,17 @@ def save_best(directory: Path, best: dict, first: str, choices) -> None:
         elif section in TUNED and section != "model":
             groups.append({f"override /{section}": override.value()})
     settings = OmegaConf.merge({"defaults": groups} if groups else {}, settings)
-    note = f"Found by sweep={choices.sweep}: {first} {best[first]:.4g} in job {best['job']}."
     (directory / "best.yaml").write_text(f"# @package _global_\n# {note}\n{OmegaConf.to_yaml(settings)}")
 
 
-def save_controller(directory: Path, best: dict, first: str, choices) -> None:
+def save_controller(directory: Path, best: dict, note: str, choices) -> None:
     """best.yaml: the controller that was searched, with the best job's overrides."""
-    if not isinstance(best.get(first), float):  # every job failed
-        return
     observer = choices["observer@controller.observer"]
     settings = OmegaConf.create({"defaults": [choices.controller, {"override /observer@observer": observer}, "_self_"]})
     for override in overrides_of(directory, best):
         section, _, rest = override.key_or_group.partition(".")
         if section == "controller" and rest:
             OmegaConf.update(settings, rest, override.value(), force_add=True)
-    note = f"Found by tuning={choices.tuning}: {first} {best[first]:.4g} in job {best['job']}."
     (directory / "best.yaml").write_text(f"# {note}\n{OmegaConf.to_yaml(settings)}")
 
 

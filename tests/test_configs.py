@@ -100,7 +100,7 @@ def builds(*overrides):
 
 @pytest.mark.parametrize("choice", group("model"))
 def test_every_model_brings_a_fit_that_takes_it(choice):
-    builds(f"model={choice}")
+    assert builds(f"model={choice}").fit
 
 
 @pytest.mark.parametrize("derivative", group("derivative"))
@@ -202,7 +202,8 @@ def test_every_logger_takes_arguments_that_it_knows(choice):
 
 @pytest.mark.parametrize("experiment", group("experiment"))
 def test_every_experiment_composes_and_its_model_and_fit_build(experiment):
-    builds(f"experiment={experiment}")
+    config = builds(f"experiment={experiment}")
+    assert config.fit and not OmegaConf.is_missing(config.data, "_target_")
 
 
 @pytest.mark.parametrize("controller", group("controller"))

@@ -107,9 +107,8 @@ def powers_of(x, parent, variable, out):
 @compiled
 def _held(table, field, u, out):
     """out = table while the input u is held: its first columns with Σ_j u_j field_j added, field (m, rows, ·)."""
-    for i in range(table.shape[0]):
-        for q in range(table.shape[1]):
-            out[i, q] = table[i, q]
+    for i in range(len(table)):
+        copy(table[i], out[i])
     for j in range(field.shape[0]):
         for i in range(field.shape[1]):
             for q in range(field.shape[2]):

@@ -70,8 +70,8 @@ def _summary(results: Results, experiments: Sequence[str], missing: Sequence[str
                for kind in ("reproduced", "better", "refuted", "not judged")}
     parts = [f"Of {len(verdicts)} tables and figures {', '.join(f'{n} {kind}' for kind, n in counted.items() if n)}. "
              "Refuted: the claim does not hold here. Better: it holds, and the number that the paper prints of SSMR is "
-             "surpassed. The robots are finite-element models of our own, the hardware is emulated, and every method "
-             "is tuned: numbers compare within this report first.",
+             "surpassed. The robots are finite-element models of our own and the hardware is emulated: numbers compare "
+             "within this report first. Where the settings of a model were searched, its table says how.",
              *([f"Left out, as their data are missing: {', '.join(missing)}."] if missing else []),
              Table(["", "claim", "verdict", "reason"],
                    [[name, published.FIGURES[name].claim or None, *verdict] for name, verdict in verdicts.items()],

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from ssmr_torch.tasks.references import Task, circle, figure_eight, ramped_phase
+from ssmr_torch.tasks.references import Task, circle, figure_eight, ramped_phase, rose
 
 EXAMPLES = {"slow figure eight": figure_eight(angular_speed=0.2, laps=1.0),
             "fast figure eight": figure_eight(), "fast circle": circle(),
-            "part of a lap": figure_eight(laps=1.7), "long ramp": circle(ramp=3.0)}
+            "part of a lap": figure_eight(laps=1.7), "long ramp": circle(ramp=3.0), "rose": rose()}
 
 
 def speed(task, time, h=1e-5):
@@ -54,6 +54,22 @@ def test_the_circle_is_one_and_passes_through_rest():
     task = circle(amplitude=0.01)
     path = task.reference(np.linspace(0, task.duration, 500))
     np.testing.assert_allclose(np.hypot(path[:, 0], path[:, 1] - 0.01), 0.01, rtol=1e-12)
+
+
+def test_the_rose_reaches_its_amplitude_in_the_middle_of_every_petal_and_passes_through_rest_between_them():
+    """Three petals lie 120° apart; half a turn of θ draws them once, so that the ramps end where they began."""
+    task = rose(amplitude=0.012, petals=3, laps=1.0, ramp=0.0)
+    theta = np.arange(1, 12) * np.pi / 6
+    path = task.reference(theta / 2.0)
+    np.testing.assert_allclose(np.hypot(*path.T), np.tile([0.012, 0.0], 6)[:11], rtol=0, atol=1e-15)
+    angles = np.degrees(np.arctan2(path[::2, 1], path[::2, 0]))
+    np.testing.assert_allclose(angles, [30, -90, 150, 30, -90, 150], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("petals", [0, 2])
+def test_a_rose_without_an_odd_number_of_petals_is_refused(petals):
+    with pytest.raises(ValueError, match=f"petals is {petals}; expected an odd number"):
+        rose(petals=petals)
 
 
 def test_the_phase_covers_its_total_without_turning_back():
