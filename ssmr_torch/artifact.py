@@ -104,8 +104,9 @@ def load(directory: str | Path) -> Artifact:
         if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != card["sha256"].get(path.name):
             raise ValueError(f"{path} is missing or differs from what the card records; export the model again")
     kind = KINDS[card["kind"]]
+    # a setting that is newer than the artifact has a default: what it was then
     model = kind(**load_file(directory / "tables.safetensors"),
-                 **{scalar: card["model"][scalar] for scalar in kind.scalar_names()})
+                 **{scalar: card["model"][scalar] for scalar in kind.scalar_names() if scalar in card["model"]})
     _replay(directory, model)
     return Artifact(model, card)
 

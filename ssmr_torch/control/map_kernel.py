@@ -14,11 +14,11 @@ from ssmr_torch.control.kernel import derivative_table, parents_of, powers_of, t
 
 
 class MapTables(NamedTuple):
-    """z⁺ = advance · (z, u)^{0:d},   y = output · z^{0:d_w}.
+    """z⁺ = advance · (z, u)^{0:d},   y = output · z^{0:d_w}; the nonlinear terms of z⁺ see s(z), see `saturation`.
 
     parent, variable: monomial 1 + (n + m) + i of (z, u) is monomial parent[i] times entry variable[i]; output_parent,
     output_variable: the same of z alone. advance (n, ·) and output (p, ·), advance_x (n (n + m), ·) and
-    output_z (p n, ·): their Jacobians.
+    output_z (p n, ·): their Jacobians. edge (n,): of s, infinite where nothing saturates.
     """
 
     parent: np.ndarray
@@ -29,6 +29,7 @@ class MapTables(NamedTuple):
     advance_x: np.ndarray
     output: np.ndarray
     output_z: np.ndarray
+    edge: np.ndarray
     repeats: int
 
 
@@ -53,7 +54,7 @@ def map_tables(model, repeats: int) -> MapTables:
     rate_x.reshape(n, n + model.input_dim, -1)[range(n), range(n), 0] += 1.0
     output = np.insert(model.parametrization, 0, 0.0, axis=1)
     return MapTables(*parents_of(joint), *parents_of(seen), advance, rate_x, output,
-                     derivative_table(model.parametrization, seen), repeats)
+                     derivative_table(model.parametrization, seen), model.edge, repeats)
 
 
 def bilinear_tables(model, repeats: int) -> BilinearTables:
@@ -83,19 +84,57 @@ def _chain(J, A, B, n, m, first):
 
 
 @compiled
+def _saturated_powers(x, tables, slopes, powers):
+    """powers = (s(z), u)^{0:d} of x = (z, u), and the slopes of s (n,)."""
+    n = len(slopes)
+    for i in range(n):
+        slopes[i] = 1.0
+    powers_of(x, tables.parent, tables.variable, powers)
+    beyond = False
+    for i in range(n):
+        over = abs(x[i]) / tables.edge[i] - 1.0
+        if over > 0.0:
+            beyond = True
+            bend = np.tanh(2.0 * over)
+            slopes[i] = 1.0 - bend * bend
+            powers[1 + i] = x[i] * (1.0 + 0.5 * bend) / (1.0 + over)
+    if beyond:
+        for i in range(len(tables.parent)):
+            powers[1 + len(x) + i] = powers[tables.parent[i]] * powers[1 + tables.variable[i]]
+
+
+@compiled
+def _unsaturated(x, n, powers):
+    """What is linear in z stays so: its powers are those of z again."""
+    for i in range(n):
+        powers[1 + i] = x[i]
+
+
+@compiled
+def _linear_beyond(tables, slopes, n, m, J):
+    """J (n (n + m),), by s(z), becomes that by z: the linear part whole, the others by the slopes of s."""
+    for j in range(n):
+        if slopes[j] < 1.0:
+            for i in range(n):
+                at = i * (n + m) + j
+                J[at] = slopes[j] * J[at] + (1.0 - slopes[j]) * tables.advance[i, 1 + j]
+
+
+@compiled
 def rollout_map(state, inputs, tables):
     """States (N+1, n) and outputs (N, p) from state (n,) under inputs (N, m)."""
     N, m = inputs.shape
     n, p = len(state), tables.output.shape[0]
     states, outputs = np.empty((N + 1, n)), np.empty((N, p))
     x, powers = np.empty(n + m), np.empty(1 + n + m + len(tables.parent))
-    seen = np.empty(1 + n + len(tables.output_parent))
+    seen, slopes = np.empty(1 + n + len(tables.output_parent)), np.empty(n)
     copy(state, states[0])
     copy(state, x)
     for k in range(N):
         copy(inputs[k], x[n:])
         for _ in range(tables.repeats):
-            powers_of(x, tables.parent, tables.variable, powers)
+            _saturated_powers(x, tables, slopes, powers)
+            _unsaturated(x, n, powers)
             table_product(tables.advance, powers, x[:n])
         copy(x[:n], states[k + 1])
         powers_of(x[:n], tables.output_parent, tables.output_variable, seen)
@@ -111,15 +150,17 @@ def linearize_map(state, inputs, tables):
     states, outputs = np.empty((N + 1, n)), np.empty((N, p))
     A, B, C = np.empty((N, n, n)), np.empty((N, n, m)), np.empty((N, p, n))
     x, powers = np.empty(n + m), np.empty(1 + n + m + len(tables.parent))
-    seen, J = np.empty(1 + n + len(tables.output_parent)), np.empty(n * (n + m))
+    seen, J, slopes = np.empty(1 + n + len(tables.output_parent)), np.empty(n * (n + m)), np.empty(n)
     copy(state, states[0])
     copy(state, x)
     for k in range(N):
         copy(inputs[k], x[n:])
         for repeat in range(tables.repeats):
-            powers_of(x, tables.parent, tables.variable, powers)
+            _saturated_powers(x, tables, slopes, powers)
             table_product(tables.advance_x, powers, J)
+            _linear_beyond(tables, slopes, n, m, J)
             _chain(J, A[k], B[k], n, m, repeat == 0)
+            _unsaturated(x, n, powers)
             table_product(tables.advance, powers, x[:n])
         copy(x[:n], states[k + 1])
         powers_of(x[:n], tables.output_parent, tables.output_variable, seen)

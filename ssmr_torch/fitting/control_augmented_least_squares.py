@@ -67,7 +67,8 @@ class ControlAugmentedLeastSquares(nn.Module):
         z = model.encode(windows, held)
         u, y = segment.input[delays:-1], segment.observation[delays:-1]
         now, rate, u, y = self._core(segment, z[:-1], (z[1:] - z[:-1]) / model.base_timestep, u, y)
-        return {"dynamics": Regression(model.dynamics_regressors(now, u), rate),
+        monomials = model.dynamics_features(torch.cat([now, u], dim=-1))  # nothing saturates within the training range
+        return {"dynamics": Regression(monomials, rate),
                 "parametrization": Regression(model.parametrization_features(now), y)}
 
     def _coordinates(self, segment: Segment, windows: Tensor, held: Tensor) -> dict[str, Regression]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -18,6 +20,8 @@ LARGEST = 6000           # coefficients: the normal matrix then takes 0.3 GB
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-6, 1e4
 ROWS = 1 << 22           # numbers in a block of J
 COLUMNS = 256            # of a block of H
+FARTHEST = 100.0         # σ_k that a sample may be off to count
+LOST = 0.1               # of the training rollouts: a closed form that loses fewer is refined as it is
 
 
 class LevenbergMarquardt(torch.optim.Optimizer):
@@ -84,19 +88,25 @@ class LevenbergMarquardt(torch.optim.Optimizer):
 
 
 class GaussNewtonFit(ModelFit):
-    """Minimizes  mean over starts and samples k of ‖ŷ_k - y_k‖² / σ_k²  by one Levenberg-Marquardt step per epoch.
+    """Minimizes  mean over starts and samples k of min(‖ŷ_k - y_k‖² / σ_k², C²)  by a Levenberg-Marquardt step per epoch.
 
-    σ_k is the error k steps ahead of the model that the fit starts from, so that short and long horizons count alike.
-    Each epoch draws `starts` rollouts of `horizon` s from the training runs; residuals are taken at `samples`
-    logarithmically spaced steps of each. trained: of "dynamics", "chart" (an oblique projection, learned: [Buurmeijer
-    et al., Taming high-dimensional dynamics, 2025]) and "parametrization" (its newest sample's rows).
-    After a step, eigenvalues beyond the margin (1/s) of the `StabilityGuard` are moved back onto it, and a step is
-    refused where a training rollout then leaves its reach; a model that does not hold at the start is made to. The fit
-    ends after `epochs` steps, or when two in a row lower the cost by less than `tolerance`.
+    σ_k is the error k steps ahead of the model that the fit starts from, so that short and long horizons count alike;
+    what is farther off than C = `FARTHEST` times σ_k does not say where to go. Each epoch draws `starts` rollouts of
+    `horizon` s from the training runs; residuals are taken at `samples` logarithmically spaced steps of each.
+    trained: of "dynamics", "chart" (an oblique projection, learned: [Buurmeijer et al., Taming high-dimensional
+    dynamics, 2025]) and "parametrization" (its newest sample's rows).
+
+    Stability is a part of the cost: a wall that no step may cross would end the fit where the closed form already
+    touches it. The same rollouts, with their inputs multiplied by `overdrive`, count by how far they leave (1 + reach) / 2
+    times the range of the training outputs, four times as much after each epoch whose model does not hold by its
+    `StabilityGuard`. Eigenvalues beyond the margin (1/s) are moved back onto it after every step. The epoch with the
+    fewest diverging training rollouts is kept, among these the one of least validation error (validation/guarded: their
+    sum). A closed form that loses more than a share `LOST` of its rollouts is made to hold before the fit.
+    The fit ends after `epochs` steps, or when two in a row lower the cost by less than `tolerance`.
     Raises ValueError for models without coefficient tables or with more than 6,000 trained coefficients.
     """
 
-    selects = True
+    selects, monitor = True, "validation/guarded"
 
     def __init__(self, model: ReducedModel, *, epochs: int = 15, starts: int = 400, horizon: float = 1.0,
                  samples: int = 10, trained: Sequence[str] = GROUPS, damping: float = 1e-2, tolerance: float = 0.01,
@@ -116,49 +126,76 @@ class GaussNewtonFit(ModelFit):
         self.settings = {"margin": float(margin), "reach": float(reach), "overdrive": float(overdrive)}
         self.repairs: dict[str, float] = {}
         self._batches: list[RolloutBatch] = []
-        self._last_gain = 1.0
+        self._last_gain, self._stress = 1.0, 1.0
 
     def configure_optimizers(self) -> LevenbergMarquardt:
         return LevenbergMarquardt(self.model.parameters(), coefficients(self.model, self.trained), self.damping,
-                                  project=lambda: self.guard.stabilize(self.model),
-                                  acceptable=lambda: self.guard.holds(self.model), products=torch.float32)
+                                  project=lambda: self.guard.stabilize(self.model), products=torch.float32)
+
+    @cached_property
+    def guard(self) -> StabilityGuard:
+        """Over the training runs of the trainer's data module."""
+        module = self.trainer.datamodule
+        return StabilityGuard(module.training, transient=module.transient, **self.settings)
 
     def on_fit_start(self) -> None:
         super().on_fit_start()
         if self.trainer.world_size > 1:
             raise ValueError(f"{self.trainer.world_size} processes; a Gauss-Newton fit runs in one, use trainer=cpu or "
                              "trainer=gpu")
-        module = self.trainer.datamodule
-        self.guard = StabilityGuard(module.training, transient=module.transient, **self.settings)
-        self.repairs = self.guard.enforce(self.model)
+        moved = self.guard.stabilize(self.model)
+        self.repairs = {"eigenvalues moved": float(moved)} if moved else {}
+        if self.guard.diverging(self.model) > LOST:
+            self.repairs |= self.guard.enforce(self.model)
         self._weights: Tensor | None = None
 
     @torch.no_grad()
     def training_step(self, batch: RolloutBatch, index: int) -> None:
         """Accumulate the sensitivities of these rollouts; with the last batch of the epoch, take the step."""
         optimizer = self.optimizers()
-        steps = self._steps(batch)
         if self._weights is None:
-            self._weights = self._first_weights(batch, steps)
-        size = sum(table.numel() for table in coefficients(self.model, self.trained))
-        starts = max(ROWS // (size * self.model.output_dim * len(steps)), 1)
-        for first in range(0, len(batch.inputs), starts):
-            part = RolloutBatch(*(getattr(batch, name)[first:first + starts] for name in batch.__dataclass_fields__))
-            optimizer.optimizer.accumulate(*self._rows(part, steps))
+            self._weights = self._first_weights(batch)
+            self._room = 0.5 * (1 + self.settings["reach"]) * batch.outputs.abs().amax((0, 1))
+        self._accumulate(optimizer.optimizer, batch, stressed=False)
+        strong = self._overdriven(batch)
+        leaving = (self._errors(strong, stressed=True) > 0).any(1)
+        if leaving.any():
+            self._accumulate(optimizer.optimizer, _chosen(strong, leaving), stressed=True)
         self._batches.append(batch)
         if self.trainer.is_last_batch:
             optimizer.step(closure=self._cost)
             self._finish(optimizer.optimizer)
 
-    def _rows(self, batch: RolloutBatch, steps: Sequence[int]) -> tuple[Tensor, Tensor]:
-        """Weighted J and r of these rollouts, without the rows of those that have diverged beyond numbers."""
-        jacobians, residuals = [], []
+    @torch.no_grad()
+    def on_validation_epoch_end(self) -> None:
+        left = self.guard.diverging(self.model)
+        self._stress *= 4.0 if left and not self.trainer.validating else 1.0
+        if "validation/rmse" in self.trainer.callback_metrics:
+            self.log("validation/guarded", self.trainer.callback_metrics["validation/rmse"] + left)
+
+    def _accumulate(self, optimizer: LevenbergMarquardt, batch: RolloutBatch, stressed: bool) -> None:
+        size = sum(table.numel() for table in coefficients(self.model, self.trained))
+        starts = max(ROWS // (size * self.model.output_dim * len(self._steps(batch))), 1)
+        for block in torch.arange(len(batch.inputs), device=batch.inputs.device).split(starts):
+            optimizer.accumulate(*self._rows(_chosen(batch, block), stressed))
+
+    def _rows(self, batch: RolloutBatch, stressed: bool) -> tuple[Tensor, Tensor]:
+        """Weighted J and r of these rollouts, without the rows of samples that are too far off."""
+        jacobians, residuals, steps = [], [], self._steps(batch)
         for found, weight in zip(rollout_sensitivities(self.model, batch, steps, self.trained), self._weights):
-            jacobians.append(found.jacobian.flatten(0, 1).mul_(weight))
-            residuals.append(weight * (batch.outputs[:, found.step - 1] - found.outputs).flatten())
+            residual = weight * (self._target(batch, found.outputs, found.step - 1, stressed) - found.outputs)
+            near = torch.linalg.vector_norm(residual, dim=-1) < FARTHEST
+            near &= torch.isfinite(found.jacobian.sum((-1, -2)))
+            jacobians.append((weight * found.jacobian[near]).flatten(0, 1))
+            residuals.append(residual[near].flatten())
         jacobian, residual = torch.cat(jacobians), torch.cat(residuals)
-        finite = torch.isfinite(residual) & torch.isfinite(jacobian.sum(-1))
-        return (jacobian, residual) if finite.all() else (jacobian[finite], residual[finite])
+        if not stressed:
+            return jacobian, residual
+        left = residual != 0  # inside the room nothing changes
+        return self._stress ** 0.5 * jacobian[left], self._stress ** 0.5 * residual[left]
+
+    def _target(self, batch: RolloutBatch, outputs: Tensor, samples, stressed: bool) -> Tensor:
+        return outputs.clamp(-self._room, self._room) if stressed else batch.outputs[:, samples]
 
     def _finish(self, optimizer: LevenbergMarquardt) -> None:
         self._batches.clear()
@@ -170,20 +207,32 @@ class GaussNewtonFit(ModelFit):
         """Logarithmically spaced steps from the first to the last of the rollout."""
         return sorted({int(round(step)) for step in np.geomspace(1, batch.inputs.shape[1], self.samples)})
 
-    def _errors(self, batch: RolloutBatch, steps: Sequence[int]) -> Tensor:
-        """‖ŷ_k - y_k‖² (N, steps)."""
-        states = self.model.rollout(self.model.encode(batch.window, batch.window_inputs), batch.inputs).states
-        there = torch.as_tensor(steps, device=states.device)
-        return (self.model.decode(states[:, there]) - batch.outputs[:, there - 1]).square().sum(-1)
+    def _overdriven(self, batch: RolloutBatch) -> RolloutBatch:
+        return replace(batch, inputs=self.settings["overdrive"] * batch.inputs)
 
-    def _first_weights(self, batch: RolloutBatch, steps: Sequence[int]) -> Tensor:
-        """1 / σ_k, with a floor on σ_k so that what is already exact does not count without end."""
-        errors = self._errors(batch, steps).mean(0)
-        return 1 / torch.maximum(errors, 1e-8 * batch.outputs.square().sum(-1).mean()).sqrt()
+    def _errors(self, batch: RolloutBatch, stressed: bool = False) -> Tensor:
+        """Squared distances from what was measured, of stressed rollouts from the room, (N, steps) m²."""
+        states = self.model.rollout(self.model.encode(batch.window, batch.window_inputs), batch.inputs).states
+        there = torch.as_tensor(self._steps(batch), device=states.device)
+        outputs = self.model.decode(states[:, there])
+        return (outputs - self._target(batch, outputs, there - 1, stressed)).square().sum(-1)
+
+    def _first_weights(self, batch: RolloutBatch) -> Tensor:
+        """1 / σ_k, with σ_k at most the size of the outputs, where rollouts diverge, and a floor on it so that what is
+        already exact does not count without end.
+        """
+        size = batch.outputs.square().sum(-1).mean()
+        errors = self._errors(batch).nan_to_num(torch.inf).clamp_max(size).mean(0)
+        return 1 / torch.maximum(errors, 1e-8 * size).sqrt()
 
     @torch.no_grad()
     def _cost(self) -> float:
-        """Mean over the epoch's starts and samples; not a finite number where a rollout has diverged beyond numbers."""
-        weighted = [(self._errors(batch, self._steps(batch)) * self._weights.square()).mean(1)
-                    for batch in self._batches]
-        return float(torch.cat(weighted).mean())
+        """Mean over the epoch's starts and samples."""
+        def capped(errors: Tensor) -> float:
+            return float((errors * self._weights.square()).nan_to_num(torch.inf).clamp_max(FARTHEST ** 2).mean())
+        return sum(capped(self._errors(batch)) + self._stress * capped(self._errors(self._overdriven(batch), True))
+                   for batch in self._batches) / len(self._batches)
+
+
+def _chosen(batch: RolloutBatch, which: Tensor) -> RolloutBatch:
+    return RolloutBatch(*(getattr(batch, name)[which] for name in batch.__dataclass_fields__))

@@ -119,10 +119,12 @@ def _steps(model, batch: RolloutBatch, count: int) -> Steps:
 
 
 def _map_steps(model: ControlAugmentedSSMR, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    n, h, together = model.state_dim, model.base_timestep, torch.cat([z, u], dim=-1)
-    identity = torch.eye(n, dtype=z.dtype, device=z.device)
-    transition = identity + h * _jacobian(model.dynamics_features, model.dynamics_table, together)[..., :n]
-    return transition, (h * identity)[:, None].expand(*z.shape, 1, -1), model.dynamics_features(together)[:, :, None]
+    n, h = model.state_dim, model.base_timestep
+    identity, linear = torch.eye(n, dtype=z.dtype, device=z.device), model.dynamics_table[:, :n]
+    joint, slopes = model.joint(z, u)
+    by_state = _jacobian(model.dynamics_features, model.dynamics_table, joint)[..., :n]
+    transition = identity + h * (slopes[..., None, :] * (by_state - linear) + linear)
+    return transition, (h * identity)[:, None].expand(*z.shape, 1, -1), model.dynamics_regressors(z, u)[:, :, None]
 
 
 def _runge_kutta_steps(model: SSMR, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import torch
@@ -49,29 +49,43 @@ class StabilityGuard:
     @torch.no_grad()
     def diverges(self, model: SSMR | ControlAugmentedSSMR) -> bool:
         """Whether any full-length rollout of a training trajectory leaves the range."""
+        return any(left > 0 for left in self._leaving(model, at_most=1))
+
+    @torch.no_grad()
+    def diverging(self, model: SSMR | ControlAugmentedSSMR) -> float:
+        """Share of the rollouts that leave the range, of those from the samples, of the full-length ones and of both with
+        stronger inputs; added, so that only 0 means that none does.
+        """
+        return sum(self._leaving(model))
+
+    def _leaving(self, model, at_most: int | None = None) -> Iterator[float]:
+        """Share that leaves, of the rollouts from the samples, then of the full-length ones."""
         bound = self.reach * torch.linalg.vector_norm(model.state_scale)
         if not torch.isfinite(bound):
             raise ValueError("the range of the training states is not known; guard a model after its closed form")
         some, whole = self._of_delays(model.delays)
-        return any(self._leaves(model, [copy for run in batches for copy in self._driven(run.to(bound.device))], bound)
-                   for batches in ([some], whole))
+        for batches in ([some], whole):
+            driven = [copy for run in batches for copy in self._driven(run.to(bound.device))]
+            yield self._left(model, driven, bound, at_most) / sum(len(batch.inputs) for batch in driven)
 
     def _driven(self, run: RolloutBatch) -> list[RolloutBatch]:
         """The recorded rollouts, and the same with stronger inputs."""
         return [run] if self.overdrive == 1 else [run, replace(run, inputs=self.overdrive * run.inputs)]
 
     @staticmethod
-    def _leaves(model, batches: list[RolloutBatch], bound: Tensor) -> bool:
-        """Whether any rollout leaves the bound; batches by falling length, padded to the longest."""
+    def _left(model, batches: list[RolloutBatch], bound: Tensor, at_most: int | None) -> int:
+        """How many rollouts leave the bound, counted up to `at_most`; batches by falling length, padded to the longest."""
         lengths = torch.cat([torch.full((len(batch.inputs),), batch.inputs.shape[1]) for batch in batches])
         states = torch.cat([model.encode(batch.window, batch.window_inputs) for batch in batches])
         inputs = pad_sequence([row for batch in batches for row in batch.inputs], batch_first=True)
+        left = torch.zeros(len(states), dtype=torch.bool, device=states.device)
         for k in range(inputs.shape[1]):
             running = int((lengths > k).sum())
             states = model.step(states[:running], inputs[:running, k])
-            if not bool((torch.linalg.vector_norm(states, dim=-1) <= bound).all()):
-                return True
-        return False
+            left[:running] |= ~(torch.linalg.vector_norm(states, dim=-1) <= bound)
+            if at_most is not None and int(left.sum()) >= at_most:
+                break
+        return int(left.sum())
 
     def _of_delays(self, delays: int) -> tuple[RolloutBatch, list[RolloutBatch]]:
         """Seeded starts of `horizon` s, and every trajectory from its first window to its end, longest first."""

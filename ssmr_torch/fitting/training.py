@@ -171,7 +171,7 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
     """Scores of the fitted model, a sentence where the fit was undone, and the time that the fit took, s."""
     validated = bool(module.validation)
     keep = ModelCheckpoint(dirpath=directory, filename="best", save_last=True, enable_version_counter=False,
-                           monitor="validation/rmse" if validated and fit.selects else None,
+                           monitor=fit.monitor if validated and fit.selects else None,
                            save_on_train_epoch_end=not fit.selects or None)
     trainer = build_trainer(max_epochs=fit.epochs, callbacks=[keep], logger=loggers, num_sanity_val_steps=0,
                             check_val_every_n_epoch=1 if fit.selects else fit.epochs + 1)  # it is scored below
@@ -179,7 +179,7 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
     before = {name: value.clone() for name, value in fit.model.state_dict().items()}
     bar = None
     if fit.selects and validated:
-        bar = trainer.validate(fit, module, verbose=False)[0]["validation/rmse"]
+        bar = trainer.validate(fit, module, verbose=False)[0][fit.monitor]
     begun = perf_counter()
     trainer.fit(fit, module, ckpt_path=str(last) if resume and last.is_file() else None, weights_only=True)
     duration = perf_counter() - begun

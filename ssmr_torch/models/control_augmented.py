@@ -9,6 +9,7 @@ from ssmr_torch.models.base import DiscreteTimeModel, OutputLinearization, fill
 from ssmr_torch.models.control_augmented_tables import ControlAugmentedTables, joint_monomials
 from ssmr_torch.models.monomial_features import MonomialFeatures
 from ssmr_torch.models.monomials import Monomials, count_monomials
+from ssmr_torch.models.saturation import saturated
 
 
 class ControlAugmentedSSMR(DiscreteTimeModel):
@@ -22,12 +23,15 @@ class ControlAugmentedSSMR(DiscreteTimeModel):
     so that nothing is left to calibrate [Wolff et al., Learning actuator-aware spectral submanifolds for precise
     control of continuum robots, 2026]; a chart that sees the inputs takes their direct effect out of the window.
 
+    saturated: beyond the largest training states, `state_scale`, the nonlinear terms stay what they are there, see
+    `saturation`; within them nothing changes.
     Raises ValueError when window and inputs hold fewer values than state_dim.
     """
 
     def __init__(self, state_dim: int, input_dim: int, output_dim: int, delays: int = 1, *,
                  parametrization_degree: int = 1, dynamics_degree: int = 2, input_degree: int | None = None,
-                 timestep: float = 0.01, window_timestep: float | None = None, base_timestep: float | None = None):
+                 saturated: bool = False, timestep: float = 0.01, window_timestep: float | None = None,
+                 base_timestep: float | None = None):
         super().__init__(state_dim, input_dim, output_dim, delays, timestep,
                          timestep if window_timestep is None else window_timestep, base_timestep)
         seen = self.window_dim + self.delays * self.input_dim
@@ -41,7 +45,7 @@ class ControlAugmentedSSMR(DiscreteTimeModel):
             if degree < 1:
                 raise ValueError(f"{name} is {degree}; expected 1 or more")
         self.parametrization_degree, self.dynamics_degree = parametrization_degree, dynamics_degree
-        self.input_degree = input_degree
+        self.input_degree, self.saturated = input_degree, bool(saturated)
         n, m = self.state_dim, self.input_dim
         self.parametrization_features = MonomialFeatures(Monomials(n, 1, parametrization_degree))
         self.dynamics_features = MonomialFeatures(joint_monomials(n, m, dynamics_degree, input_degree))
@@ -57,7 +61,7 @@ class ControlAugmentedSSMR(DiscreteTimeModel):
     def arguments(self) -> dict:
         return {name: getattr(self, name) for name in (
             "state_dim", "input_dim", "output_dim", "delays", "parametrization_degree", "dynamics_degree",
-            "input_degree", "timestep", "window_timestep", "base_timestep")}
+            "input_degree", "saturated", "timestep", "window_timestep", "base_timestep")}
 
     def chart_regressors(self, window: Tensor, inputs: Tensor) -> Tensor:
         """[ŷ, û], (..., (n_d + 1) p + n_d m), such that encode = chart · regressors."""
@@ -69,18 +73,32 @@ class ControlAugmentedSSMR(DiscreteTimeModel):
     def decode(self, z: Tensor) -> Tensor:
         return self.parametrization_features(z) @ self.parametrization.T
 
+    def joint(self, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        """(s(z), u) and the slopes of s."""
+        within, slopes = saturated(z, self.edge, torch.tanh)
+        return torch.cat([within, u], dim=-1), slopes
+
+    @property
+    def edge(self) -> Tensor:
+        """Of the range within which nothing saturates, (n,)."""
+        limited = (self.state_scale > 0) & self.saturated
+        return torch.where(limited, self.state_scale, torch.inf)
+
     def dynamics_regressors(self, z: Tensor, u: Tensor) -> Tensor:
-        """(z, u)^{1:n_r}, (..., q), such that advance = z + h · dynamics · regressors."""
-        return self.dynamics_features(torch.cat([z, u], dim=-1))
+        """[z, u, (s(z), u)^{2:n_r}], (..., q), such that advance = z + h · dynamics · regressors."""
+        nonlinear = self.dynamics_features(self.joint(z, u)[0])[..., self.state_dim:]
+        return torch.cat([z, nonlinear], dim=-1)
 
     def advance(self, z: Tensor, u: Tensor) -> Tensor:
         return z + self.base_timestep * (self.dynamics_regressors(z, u) @ self.dynamics_table.T)
 
     def advance_jacobians(self, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        jacobian = self.dynamics_table @ self.dynamics_features.jacobian(torch.cat([z, u], dim=-1))
-        n = self.state_dim
+        n, (joint, slopes) = self.state_dim, self.joint(z, u)
+        jacobian = self.dynamics_table @ self.dynamics_features.jacobian(joint)
+        by_state, linear = slopes[..., None, :] * jacobian[..., :n], self.dynamics_table[:, :n]
         identity = torch.eye(n, dtype=z.dtype, device=z.device)
-        return identity + self.base_timestep * jacobian[..., :n], self.base_timestep * jacobian[..., n:]
+        A = identity + self.base_timestep * (by_state + (1.0 - slopes)[..., None, :] * linear)
+        return A, self.base_timestep * jacobian[..., n:]
 
     def linearize_output(self, z: Tensor) -> OutputLinearization:
         C = self.parametrization @ self.parametrization_features.jacobian(z)

@@ -8,13 +8,15 @@ from functools import cached_property
 import numpy as np
 
 from ssmr_torch.models.monomials import Monomials
+from ssmr_torch.models.saturation import saturated
 from ssmr_torch.models.tables import DiscreteTimeTables
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ControlAugmentedTables(DiscreteTimeTables):
     """z = chart · [window, inputs held within it],   y = parametrization · z^{1:n_w},
-    z⁺ = z + base_timestep · dynamics · (z, u)^{1:n_r}, the monomials with degree ≤ n_u in u.
+    z⁺ = z + base_timestep · dynamics · (z, u)^{1:n_r}, the monomials with degree ≤ n_u in u; those beyond the linear ones
+    of s(z) in place of z where `saturated`, see `saturation`.
 
     chart (n, (n_d + 1) p + n_d m), parametrization (p, ·), dynamics (n, ·): float64, SI.
     """
@@ -25,6 +27,7 @@ class ControlAugmentedTables(DiscreteTimeTables):
     parametrization_degree: int
     dynamics_degree: int
     input_degree: int
+    saturated: bool = False
 
     @property
     def affine(self) -> bool:
@@ -45,15 +48,27 @@ class ControlAugmentedTables(DiscreteTimeTables):
     def decode(self, z: np.ndarray) -> np.ndarray:
         return self.parametrization_monomials(z) @ self.parametrization.T
 
+    @cached_property
+    def edge(self) -> np.ndarray:
+        """Of the range within which nothing saturates, (n,)."""
+        return np.where((self.state_scale > 0) & self.saturated, self.state_scale, np.inf)
+
+    def joint(self, z: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(s(z), u) and the slopes of s."""
+        within, slopes = saturated(z, self.edge, np.tanh)
+        return np.concatenate([within, u], axis=-1), slopes
+
     def advance(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
-        together = np.concatenate([z, u], axis=-1)
-        return z + self.base_timestep * (self.dynamics_monomials(together) @ self.dynamics.T)
+        regressors = self.dynamics_monomials(self.joint(z, u)[0])
+        regressors[..., :self.state_dim] = z
+        return z + self.base_timestep * (regressors @ self.dynamics.T)
 
     def advance_jacobians(self, z: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        jacobian = self.base_timestep * (self.dynamics
-                                         @ self.dynamics_monomials.jacobian(np.concatenate([z, u], axis=-1)))
-        n = self.state_dim
-        return np.eye(n) + jacobian[..., :n], jacobian[..., n:]
+        n, (joint, slopes) = self.state_dim, self.joint(z, u)
+        jacobian = self.base_timestep * (self.dynamics @ self.dynamics_monomials.jacobian(joint))
+        linear = self.base_timestep * self.dynamics[:, :n]
+        by_state = slopes[..., None, :] * jacobian[..., :n] + (1.0 - slopes)[..., None, :] * linear
+        return np.eye(n) + by_state, jacobian[..., n:]
 
     def linearize_output(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         C = self.parametrization @ self.parametrization_monomials.jacobian(z)

@@ -52,7 +52,7 @@ def test_the_kernel_equals_its_twin_for_a_curved_output_with_substeps(bench):
         assert np.abs(ours - theirs).max() <= 1e-12 * np.abs(theirs).max()
 
 
-def joint(rng, degree, input_degree, repeats, curved):
+def joint(rng, degree, input_degree, repeats, curved, edge=None):
     """A stable control-augmented model with random coefficients."""
     monomials = joint_monomials(6, 4, degree, input_degree)
     dynamics = 4.0 * rng.standard_normal((6, len(monomials)))
@@ -60,7 +60,8 @@ def joint(rng, degree, input_degree, repeats, curved):
     output = np.hstack([np.eye(6), 4.0 * rng.standard_normal((6, 21))]) if curved else np.eye(6)
     return ControlAugmentedTables(
         chart=np.eye(6), parametrization=output, dynamics=dynamics, parametrization_degree=2 if curved else 1,
-        dynamics_degree=degree, input_degree=input_degree, state_scale=np.ones(6), input_dim=4, output_dim=6, delays=0,
+        dynamics_degree=degree, input_degree=input_degree, saturated=edge is not None,
+        state_scale=np.full(6, edge or 1.0), input_dim=4, output_dim=6, delays=0,
         timestep=0.01 * repeats, window_timestep=0.01, base_timestep=0.01)
 
 
@@ -79,6 +80,7 @@ def lifted(rng, bilinear, relift, constant=True, repeats=2):
 
 @pytest.mark.parametrize(("kind", "make"), [
     (CompiledHorizon, lambda rng: joint(rng, 2, 2, 2, False)), (CompiledHorizon, lambda rng: joint(rng, 3, 1, 2, True)),
+    (CompiledHorizon, lambda rng: joint(rng, 3, 2, 2, True, edge=0.02)),
     (LinearHorizon, lambda rng: joint(rng, 1, 1, 2, False)), (CompiledHorizon, lambda rng: lifted(rng, True, False)),
     (LinearHorizon, lambda rng: lifted(rng, False, False)),
     (LinearHorizon, lambda rng: lifted(rng, False, False, constant=False)),

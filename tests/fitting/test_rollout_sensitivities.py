@@ -15,6 +15,7 @@ MODELS = {
     "constant input matrix": lambda: SSMR(3, 2, 2, 1, dynamics_degree=3, control_degree=0, chart_degree=2),
     "control-augmented": lambda: ControlAugmentedSSMR(3, 2, 2, 2, parametrization_degree=2, timestep=0.02,
                                                       base_timestep=0.01, window_timestep=0.01),
+    "control-augmented, saturated": lambda: ControlAugmentedSSMR(3, 2, 2, 1, dynamics_degree=3, saturated=True),
 }
 
 
@@ -23,6 +24,7 @@ def random(build):
     with torch.no_grad():
         for table in model.parameters():
             table.copy_(0.3 * torch.randn_like(table))
+        model.state_scale.fill_(0.5)
     return model
 
 
