@@ -93,8 +93,9 @@ def save_best(directory: Path, best: dict, note: str, choices) -> None:
 
 def save_controller(directory: Path, best: dict, note: str, choices) -> None:
     """best.yaml: the controller that was searched, with the best job's overrides."""
-    observer = choices["observer@controller.observer"]
-    settings = OmegaConf.create({"defaults": [choices.controller, {"override /observer@observer": observer}, "_self_"]})
+    observer = choices.get("observer@controller.observer", "none")  # a static pregain has no place for one
+    observers = [{"override /observer@observer": observer}] if observer != "none" else []
+    settings = OmegaConf.create({"defaults": [choices.controller, *observers, "_self_"]})
     for override in overrides_of(directory, best):
         section, _, rest = override.key_or_group.partition(".")
         if section == "controller" and rest:

@@ -30,16 +30,15 @@ class LevenbergMarquardt(torch.optim.Optimizer):
     tables: views of what is changed; their entries, one table after the other, are the columns of J.
     products: precision of the products JᵀJ; single is twice as fast, and as g stays in double precision it moves no
     minimum. project: moves the tables into the set of those allowed, after each trial step and before its cost.
-    acceptable: whether the present tables may be kept. λ falls by 5 after a step that lowers the cost and is
-    acceptable, and rises by 6 until one is; beyond `LARGEST_DAMPING` nothing is changed.
+    λ falls by 5 after a step that lowers the cost, and rises by 6 until one does; beyond `LARGEST_DAMPING` nothing is
+    changed.
     `cost` and `gain`, the relative decrease (0 where nothing was changed), are those of the last step.
     """
 
     def __init__(self, parameters: Iterable[Tensor], tables: Sequence[Tensor], damping: float,
-                 project: Callable[[], object] = lambda: None, acceptable: Callable[[], bool] = lambda: True,
-                 products: torch.dtype = torch.float64):
+                 project: Callable[[], object] = lambda: None, products: torch.dtype = torch.float64):
         super().__init__(parameters, {})
-        self.tables, self.damping, self.acceptable = list(tables), float(damping), acceptable
+        self.tables, self.damping = list(tables), float(damping)
         self.project, self.products = project, products
         self.cost, self.gain = float("inf"), 0.0
         size = sum(table.numel() for table in tables)
@@ -70,7 +69,7 @@ class LevenbergMarquardt(torch.optim.Optimizer):
                 self._put(start + torch.cholesky_solve(gradient[:, None], factor, upper=True)[:, 0] / scale)
                 self.project()
                 self.cost = closure()
-                if self.cost < before and self.acceptable():
+                if self.cost < before:
                     self.damping = max(self.damping / 5, SMALLEST_DAMPING)
                     break
             self.damping *= 6

@@ -43,10 +43,10 @@ def test_on_a_linear_problem_one_undamped_step_is_least_squares(columns):
     torch.testing.assert_close(found, torch.linalg.lstsq(A, b).solution, rtol=1e-8, atol=1e-10)
 
 
-def test_a_step_that_is_not_acceptable_is_undone():
+def test_a_step_that_lowers_no_cost_is_undone():
     x = torch.ones(3, dtype=torch.float64)
-    optimizer = LevenbergMarquardt([torch.nn.Parameter(torch.zeros(1))], [x], 1e-2, acceptable=lambda: False)
-    optimizer.accumulate(torch.eye(3, dtype=torch.float64), -x)
+    optimizer = LevenbergMarquardt([torch.nn.Parameter(torch.zeros(1))], [x], 1e-2)
+    optimizer.accumulate(torch.eye(3, dtype=torch.float64), x)  # the wrong sign: uphill
     assert optimizer.step(lambda: float(x.square().sum())) == 3.0 and optimizer.gain == 0.0
     assert (x == 1).all()
 
@@ -101,6 +101,24 @@ def test_an_unstable_start_is_made_to_hold_first(known, tmp_path):
     fit, (before, after), _ = fitted(model, known.dataset(), tmp_path, epochs=2)
     assert fit.repairs["eigenvalues moved"] == 2 and after < before
     assert StabilityGuard(known.decays(0.01)).holds(model)
+
+
+@pytest.mark.filterwarnings("ignore:.*does not have many workers")
+@pytest.mark.filterwarnings("ignore:.*smaller than the logging interval")
+@pytest.mark.parametrize(("kind", "share"), [(SSMR, 0.08), (ControlAugmentedSSMR, 0.03)])
+def test_a_start_that_runs_away_under_stronger_inputs_is_led_back(known, tmp_path, kind, share):
+    model, dataset = started(known, kind), known.dataset()
+    table, features = (model.drift_table, model.drift_features) if kind is SSMR else (
+        model.dynamics_table, model.dynamics_features)
+    with torch.no_grad():
+        for row, powers in [(0, [3, 0]), (0, [1, 2]), (1, [2, 1]), (1, [0, 3])]:  # + |z|² z, which the robot has with −
+            at = torch.tensor(powers + [0] * (features.exponents.shape[1] - 2))
+            table[row, (features.exponents == at).all(1)] = share * known.gamma
+    guard = StabilityGuard(dataset.select("train"), overdrive=1.5)
+    lost = guard.diverging(model)
+    fit, (before, after), _ = fitted(model, dataset, tmp_path, overdrive=1.5)
+    assert lost > 0 and fit.repairs == {}
+    assert guard.holds(model) and after < 0.05 * before
 
 
 @pytest.mark.parametrize(("options", "message"), [
