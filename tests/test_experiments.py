@@ -216,6 +216,17 @@ def test_a_controller_is_tuned_on_a_task_of_its_own_and_its_best_settings_are_a_
     assert f"controller.observer.measurement_noise={best.observer.measurement_noise}" in rows[0]["overrides"]
 
 
+def test_a_tuned_controller_without_an_observer_names_none(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "experiments"))
+    from sweep_table import save_controller
+
+    (tmp_path / "0").mkdir()
+    (tmp_path / "0" / "result.json").write_text(json.dumps({"overrides": ["controller.input_weight=3.0", "plant=trunk"]}))
+    save_controller(tmp_path, {"job": "0"}, "Found.", OmegaConf.create({"controller": "koopman_lqr"}))
+    best = OmegaConf.load(tmp_path / "best.yaml")
+    assert best == {"defaults": ["koopman_lqr", "_self_"], "input_weight": 3.0}
+
+
 @pytest.mark.slow
 def test_a_model_of_the_tip_controls_a_robot_that_shows_more(trunk_line):
     at, _ = trunk_line

@@ -23,7 +23,7 @@ class ControlAugmentedLeastSquares(nn.Module):
         [subspace identification: Van Overschee and De Moor 1994]. It takes the inputs' part out of the window, and
         serves few outputs with many delays, where variance says little about what matters later.
     dynamics: (z⁺ - z) / h on (z, u)^{1:n_r};   parametrization: y on z^{1:n_w}.
-    Raises ValueError for another chart or manifold_data, for a window with fewer values than n, and in `assign` where a
+    Raises ValueError for another chart or manifold_data, for a window or a future with fewer values than n, and in `assign` where a
     stage found no rows.
     """
 
@@ -39,9 +39,11 @@ class ControlAugmentedLeastSquares(nn.Module):
                 raise ValueError(f"{name} is {value!r}; expected one of {options}")
         if future < 1:
             raise ValueError(f"future is {future} samples; expected 1 or more")
-        if model.window_dim < model.state_dim:
-            raise ValueError(f"the window holds {model.window_dim} values, fewer than the {model.state_dim} reduced "
-                             "coordinates that its singular vectors must give; use more delays or a smaller state_dim")
+        shown, of_what = (((future + 1) * model.output_dim, f"this and {future} further samples of {model.output_dim} outputs")
+                          if chart == "predictive" else (model.window_dim, "the window"))
+        if shown < model.state_dim:
+            raise ValueError(f"{shown} values in {of_what} are fewer than the {model.state_dim} reduced coordinates that "
+                             "their singular vectors must give; use more delays, a larger future or a smaller state_dim")
         # not a submodule: the fit that holds this procedure also holds the model, and saves it once
         self.__dict__["model"] = model
         self.predictive, self.future, self.manifold_data = chart == "predictive", int(future), manifold_data

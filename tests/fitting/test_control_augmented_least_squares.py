@@ -93,7 +93,9 @@ def test_impossible_options_and_missing_runs_are_refused(solve_stages):
                              ({"future": 0}, "future is 0 samples")):
         with pytest.raises(ValueError, match=message):
             ControlAugmentedLeastSquares(model, **options)
-    with pytest.raises(ValueError, match="window holds 2 values, fewer than the 3"):
-        ControlAugmentedLeastSquares(ControlAugmentedSSMR(3, 2, 1, 1))
+    for options, message in (({}, "2 values in the window are fewer than the 3"),
+                             ({"chart": "predictive", "future": 1}, "2 values in this and 1 further samples of 1 output")):
+        with pytest.raises(ValueError, match=message):
+            ControlAugmentedLeastSquares(ControlAugmentedSSMR(3, 2, 1, 1), **options)
     with pytest.raises(ValueError, match="the training data hold no decays"):
         solve_stages(ControlAugmentedLeastSquares(model), runs(linear_map, np.eye(2), decays=0))
