@@ -13,6 +13,7 @@ from ssmr_torch.data.windows import RolloutBatch, RolloutDataset, stack_rollouts
 from ssmr_torch.fitting.fit import ModelFit
 from ssmr_torch.fitting.rollout_sensitivities import dynamics_tables
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
+from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
 from ssmr_torch.models.ssmr import SSMR
 
 HALVINGS = 12
@@ -28,7 +29,8 @@ class StabilityGuard:
     recorded inputs multiplied by `overdrive`, for a controller asks for more than the training did.
 
     trajectories: those of the training. transient: s cut from the start of each decay. margin: 1/s. reach: smaller
-    than the `DIVERGENCE_FACTOR` that a rollout is judged by later, so that unseen runs have room as well.
+    than the `DIVERGENCE_FACTOR` that a rollout is judged by later, so that unseen runs have room as well; of a saturated
+    model, which cannot run away, that factor itself.
     Raises ValueError for a model without coefficient tables, or one that was not fitted yet.
     """
 
@@ -60,7 +62,8 @@ class StabilityGuard:
 
     def _leaving(self, model, at_most: int | None = None) -> Iterator[float]:
         """Share that leaves, of the rollouts from the samples, then of the full-length ones."""
-        bound = self.reach * torch.linalg.vector_norm(model.state_scale)
+        reach = DIVERGENCE_FACTOR if getattr(model, "saturated", False) else self.reach
+        bound = reach * torch.linalg.vector_norm(model.state_scale)
         if not torch.isfinite(bound):
             raise ValueError("the range of the training states is not known; guard a model after its closed form")
         some, whole = self._of_delays(model.delays)
