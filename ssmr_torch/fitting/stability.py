@@ -30,7 +30,7 @@ class StabilityGuard:
 
     trajectories: those of the training. transient: s cut from the start of each decay. margin: 1/s. reach: smaller
     than the `DIVERGENCE_FACTOR` that a rollout is judged by later, so that unseen runs have room as well; of a saturated
-    model, which cannot run away, that factor itself.
+    model, which cannot run away, that factor itself, and under the recorded inputs alone.
     Raises ValueError for a model without coefficient tables, or one that was not fitted yet.
     """
 
@@ -62,13 +62,14 @@ class StabilityGuard:
 
     def _leaving(self, model, at_most: int | None = None) -> Iterator[float]:
         """Share that leaves, of the rollouts from the samples, then of the full-length ones."""
-        reach = DIVERGENCE_FACTOR if getattr(model, "saturated", False) else self.reach
-        bound = reach * torch.linalg.vector_norm(model.state_scale)
+        bounded = getattr(model, "saturated", False)
+        bound = (DIVERGENCE_FACTOR if bounded else self.reach) * torch.linalg.vector_norm(model.state_scale)
         if not torch.isfinite(bound):
             raise ValueError("the range of the training states is not known; guard a model after its closed form")
         some, whole = self._of_delays(model.delays)
         for batches in ([some], whole):
-            driven = [copy for run in batches for copy in self._driven(run.to(bound.device))]
+            driven = [run.to(bound.device) for run in batches]
+            driven = driven if bounded else [copy for run in driven for copy in self._driven(run)]
             yield self._left(model, driven, bound, at_most) / sum(len(batch.inputs) for batch in driven)
 
     def _driven(self, run: RolloutBatch) -> list[RolloutBatch]:
