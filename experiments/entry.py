@@ -57,8 +57,8 @@ def refuse(message: str, directory: Path, error: Exception, expected: bool) -> f
 
 
 def keep_memory() -> None:
-    """Keep freed memory for the next allocation; else large tensors are mapped anew each time, which takes up to half of
-    the time of a Gauss-Newton fit. Only the GNU C library needs it.
+    """Keep freed memory for the next allocation; else large tensors are mapped anew each time, which takes up to half
+    of the time of a Gauss-Newton fit. Only the GNU C library needs it.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
     if mallopt:

@@ -214,7 +214,7 @@ def test_every_controller_takes_every_task(controller, task):
     assert isinstance(chosen, Task)
     build = instantiate(config.controller)
     assert isinstance(build, partial)
-    tables = _pregain(len(plant.output_names)) if controller == "koopman_lqr" else _tables(len(plant.output_names))
+    tables = _pregain(len(plant.output_names)) if "koopman_lqr" in controller else _tables(len(plant.output_names))
     control = build(tables, chosen, plant.input_bounds, timestep=plant.timestep,
                     output_names=plant.output_names)
     command = control(0.0, np.zeros(len(plant.output_names)))

@@ -221,7 +221,8 @@ def test_a_tuned_controller_without_an_observer_names_none(tmp_path, monkeypatch
     from sweep_table import save_controller
 
     (tmp_path / "0").mkdir()
-    (tmp_path / "0" / "result.json").write_text(json.dumps({"overrides": ["controller.input_weight=3.0", "plant=trunk"]}))
+    searched = {"overrides": ["controller.input_weight=3.0", "plant=trunk"]}
+    (tmp_path / "0" / "result.json").write_text(json.dumps(searched))
     save_controller(tmp_path, {"job": "0"}, "Found.", OmegaConf.create({"controller": "koopman_lqr"}))
     best = OmegaConf.load(tmp_path / "best.yaml")
     assert best == {"defaults": ["koopman_lqr", "_self_"], "input_weight": 3.0}

@@ -21,16 +21,16 @@ class ControlAugmentedLeastSquares(nn.Module):
         "predictive", the outputs of the next `future` samples are regressed on [ŷ, û] and the inputs that act
         meanwhile; what the past explains of them, a projection along the future inputs, has n leading directions
         [subspace identification: Van Overschee and De Moor 1994]. It takes the inputs' part out of the window, and
-        serves few outputs with many delays, where variance says little about what matters later.
+        what varies much without mattering later.
     dynamics: (z⁺ - z) / h on (z, u)^{1:n_r};   parametrization: y on z^{1:n_w}.
-    Raises ValueError for another chart or manifold_data, for a window or a future with fewer values than n, and in `assign` where a
-    stage found no rows.
+    Raises ValueError for another chart or manifold_data, for a window or a future with fewer values than n, and in
+    `assign` where a stage found no rows.
     """
 
     stages = ("coordinates", "dynamics")
     names = ("coordinates", "dynamics", "parametrization")
 
-    def __init__(self, model: ControlAugmentedSSMR, *, chart: str = "tangent_space", future: int = 30,
+    def __init__(self, model: ControlAugmentedSSMR, *, chart: str = "predictive", future: int = 10,
                  manifold_data: str = "decays"):
         super().__init__()
         for name, value, options in (("manifold_data", manifold_data, ("decays", "all")),
@@ -39,11 +39,14 @@ class ControlAugmentedLeastSquares(nn.Module):
                 raise ValueError(f"{name} is {value!r}; expected one of {options}")
         if future < 1:
             raise ValueError(f"future is {future} samples; expected 1 or more")
-        shown, of_what = (((future + 1) * model.output_dim, f"this and {future} further samples of {model.output_dim} outputs")
-                          if chart == "predictive" else (model.window_dim, "the window"))
+        shown, of_what = model.window_dim, "the window"
+        if chart == "predictive":
+            shown = (future + 1) * model.output_dim
+            of_what = f"this and {future} further samples of {model.output_dim} outputs"
         if shown < model.state_dim:
-            raise ValueError(f"{shown} values in {of_what} are fewer than the {model.state_dim} reduced coordinates that "
-                             "their singular vectors must give; use more delays, a larger future or a smaller state_dim")
+            raise ValueError(f"{shown} values in {of_what} are fewer than the {model.state_dim} reduced coordinates "
+                             "that their singular vectors must give; use more delays, a larger future or a smaller "
+                             "state_dim")
         # not a submodule: the fit that holds this procedure also holds the model, and saves it once
         self.__dict__["model"] = model
         self.predictive, self.future, self.manifold_data = chart == "predictive", int(future), manifold_data

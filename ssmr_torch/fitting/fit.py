@@ -61,8 +61,8 @@ class ModelFit(lightning.LightningModule):
     strong, and with these played `overspeed` times as fast; the larger share that diverges is validation/overdriven,
     and validation/relative is infinite where any does. What was measured says nothing of what lies beyond it, but
     that a robot stays finite there is known.
-    selects: whether the fit keeps its best epoch by its `monitor`, a score of the validation, and is undone where none is
-    better than its start; otherwise its last epoch is kept.
+    selects: whether the fit keeps its best epoch by its `monitor`, a score of the validation, and is undone where none
+    is better than its start; otherwise its last epoch is kept.
     """
 
     selects, monitor = False, "validation/rmse"

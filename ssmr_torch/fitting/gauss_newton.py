@@ -87,7 +87,7 @@ class LevenbergMarquardt(torch.optim.Optimizer):
 
 
 class GaussNewtonFit(ModelFit):
-    """Minimizes  mean over starts and samples k of min(‖ŷ_k - y_k‖² / σ_k², C²)  by a Levenberg-Marquardt step per epoch.
+    """Minimizes the mean over starts and samples k of min(‖ŷ_k - y_k‖² / σ_k², C²), by one damped step per epoch.
 
     σ_k is the error k steps ahead of the model that the fit starts from, so that short and long horizons count alike;
     what is farther off than C = `FARTHEST` times σ_k does not say where to go. Each epoch draws `starts` rollouts of
@@ -96,12 +96,12 @@ class GaussNewtonFit(ModelFit):
     dynamics, 2025]) and "parametrization" (its newest sample's rows).
 
     Stability is a part of the cost: a wall that no step may cross would end the fit where the closed form already
-    touches it. The same rollouts, with their inputs multiplied by `overdrive`, count by how far they leave (1 + reach) / 2
-    times the range of the training outputs, four times as much after each epoch whose model does not hold by its
-    `StabilityGuard`. Eigenvalues beyond the margin (1/s) are moved back onto it after every step. The epoch with the
-    fewest diverging training rollouts is kept, among these the one of least validation error (validation/guarded: their
-    sum). A closed form that loses more than a share `LOST` of its rollouts is made to hold before the fit.
-    The fit ends after `epochs` steps, or when two in a row lower the cost by less than `tolerance`.
+    touches it. The same rollouts, with their inputs multiplied by `overdrive`, count by how far they leave
+    (1 + reach) / 2 times the range of the training outputs, four times as much after each epoch whose model does not
+    hold by its `StabilityGuard`. Eigenvalues beyond the margin (1/s) are moved back onto it after every step. The
+    epoch with the fewest diverging training rollouts is kept, among these the one of least validation error
+    (validation/guarded: their sum). A closed form that loses more than a share `LOST` of its rollouts is made to hold
+    before the fit. The fit ends after `epochs` steps, or when two in a row lower the cost by less than `tolerance`.
     Raises ValueError for models without coefficient tables or with more than 6,000 trained coefficients.
     """
 

@@ -29,8 +29,8 @@ class StabilityGuard:
     recorded inputs multiplied by `overdrive`, for a controller asks for more than the training did.
 
     trajectories: those of the training. transient: s cut from the start of each decay. margin: 1/s. reach: smaller
-    than the `DIVERGENCE_FACTOR` that a rollout is judged by later, so that unseen runs have room as well; of a saturated
-    model, which cannot run away, that factor itself, and under the recorded inputs alone.
+    than the `DIVERGENCE_FACTOR` that a rollout is judged by later, so that unseen runs have room as well; of a
+    saturated model, which cannot run away, that factor itself, and under the recorded inputs alone.
     Raises ValueError for a model without coefficient tables, or one that was not fitted yet.
     """
 
@@ -55,8 +55,8 @@ class StabilityGuard:
 
     @torch.no_grad()
     def diverging(self, model: SSMR | ControlAugmentedSSMR) -> float:
-        """Share of the rollouts that leave the range, of those from the samples, of the full-length ones and of both with
-        stronger inputs; added, so that only 0 means that none does.
+        """Share of the rollouts from the samples that leave the range, plus that of the full-length ones: only 0 means
+        that none does.
         """
         return sum(self._leaving(model))
 
@@ -78,7 +78,8 @@ class StabilityGuard:
 
     @staticmethod
     def _left(model, batches: list[RolloutBatch], bound: Tensor, at_most: int | None) -> int:
-        """How many rollouts leave the bound, counted up to `at_most`; batches by falling length, padded to the longest."""
+        """How many rollouts leave the bound, counted up to `at_most`; batches by falling length, padded to the longest.
+        """
         lengths = torch.cat([torch.full((len(batch.inputs),), batch.inputs.shape[1]) for batch in batches])
         states = torch.cat([model.encode(batch.window, batch.window_inputs) for batch in batches])
         inputs = pad_sequence([row for batch in batches for row in batch.inputs], batch_first=True)

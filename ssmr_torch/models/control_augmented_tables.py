@@ -15,8 +15,8 @@ from ssmr_torch.models.tables import DiscreteTimeTables
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ControlAugmentedTables(DiscreteTimeTables):
     """z = chart · [window, inputs held within it],   y = parametrization · z^{1:n_w},
-    z⁺ = z + base_timestep · dynamics · (z, u)^{1:n_r}, the monomials with degree ≤ n_u in u; those beyond the linear ones
-    of s(z) in place of z where `saturated`, see `saturation`.
+    z⁺ = z + base_timestep · dynamics · (z, u)^{1:n_r}, the monomials with degree ≤ n_u in u; those beyond the linear
+    ones of s(z) in place of z where `saturated`, see `saturation`.
 
     chart (n, (n_d + 1) p + n_d m), parametrization (p, ·), dynamics (n, ·): float64, SI.
     """

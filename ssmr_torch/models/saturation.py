@@ -1,8 +1,8 @@
 """Nonlinear terms that stay what they are at the edge of the training range, where a polynomial would run away.
 
-s_i(z) = z_i for |z_i| ≤ e_i, and e_i sign(z_i) (1 + ½ tanh 2(|z_i| / e_i - 1)) beyond, twice continuously differentiable.
-Dynamics whose nonlinear terms see s(z) instead of z are the polynomial itself within the range, and with a stable linear
-part and bounded inputs no rollout of theirs grows without bound.
+s_i(z) = z_i for |z_i| ≤ e_i, and e_i sign(z_i) (1 + ½ tanh 2(|z_i| / e_i - 1)) beyond, twice continuously
+differentiable. Dynamics whose nonlinear terms see s(z) instead of z are the polynomial itself within the range, and
+with a stable linear part and bounded inputs no rollout of theirs grows without bound.
 """
 
 from __future__ import annotations

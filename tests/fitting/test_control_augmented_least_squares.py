@@ -93,9 +93,9 @@ def test_impossible_options_and_missing_runs_are_refused(solve_stages):
                              ({"future": 0}, "future is 0 samples")):
         with pytest.raises(ValueError, match=message):
             ControlAugmentedLeastSquares(model, **options)
-    for options, message in (({}, "2 values in the window are fewer than the 3"),
-                             ({"chart": "predictive", "future": 1}, "2 values in this and 1 further samples of 1 output")):
+    for options, message in (({"chart": "tangent_space"}, "2 values in the window are fewer than the 3"),
+                             ({"chart": "predictive", "future": 1}, "2 values in this and 1 further sample")):
         with pytest.raises(ValueError, match=message):
             ControlAugmentedLeastSquares(ControlAugmentedSSMR(3, 2, 1, 1), **options)
     with pytest.raises(ValueError, match="the training data hold no decays"):
-        solve_stages(ControlAugmentedLeastSquares(model), runs(linear_map, np.eye(2), decays=0))
+        solve_stages(ControlAugmentedLeastSquares(model, chart="tangent_space"), runs(linear_map, np.eye(2), decays=0))
