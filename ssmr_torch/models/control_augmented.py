@@ -23,6 +23,7 @@ class ControlAugmentedSSMR(DiscreteTimeModel):
     so that nothing is left to calibrate [Wolff et al., Learning actuator-aware spectral submanifolds for precise
     control of continuum robots, 2026]; a chart that sees the inputs takes their direct effect out of the window.
 
+    state_degree: largest degree in z (default: n_r); 1 makes the linear counterpart, bilinear in state and input.
     saturated: beyond the largest training states, `state_scale`, the nonlinear terms stay what they are there, see
     `saturation`; within them nothing changes.
     Raises ValueError when window and inputs hold fewer values than state_dim.
@@ -30,7 +31,7 @@ class ControlAugmentedSSMR(DiscreteTimeModel):
 
     def __init__(self, state_dim: int, input_dim: int, output_dim: int, delays: int = 1, *,
                  parametrization_degree: int = 1, dynamics_degree: int = 2, input_degree: int | None = None,
-                 saturated: bool = False, timestep: float = 0.01, window_timestep: float | None = None,
+                 state_degree: int | None = None, saturated: bool = False, timestep: float = 0.01, window_timestep: float | None = None,
                  base_timestep: float | None = None):
         super().__init__(state_dim, input_dim, output_dim, delays, timestep,
                          timestep if window_timestep is None else window_timestep, base_timestep)
@@ -41,14 +42,14 @@ class ControlAugmentedSSMR(DiscreteTimeModel):
                              "a smaller state_dim")
         input_degree = dynamics_degree if input_degree is None else input_degree
         for name, degree in (("parametrization_degree", parametrization_degree), ("dynamics_degree", dynamics_degree),
-                             ("input_degree", input_degree)):
+                             ("input_degree", input_degree), ("state_degree", state_degree or dynamics_degree)):
             if degree < 1:
                 raise ValueError(f"{name} is {degree}; expected 1 or more")
         self.parametrization_degree, self.dynamics_degree = parametrization_degree, dynamics_degree
-        self.input_degree, self.saturated = input_degree, bool(saturated)
+        self.input_degree, self.state_degree, self.saturated = input_degree, state_degree, bool(saturated)
         n, m = self.state_dim, self.input_dim
         self.parametrization_features = MonomialFeatures(Monomials(n, 1, parametrization_degree))
-        self.dynamics_features = MonomialFeatures(joint_monomials(n, m, dynamics_degree, input_degree))
+        self.dynamics_features = MonomialFeatures(joint_monomials(n, m, dynamics_degree, input_degree, state_degree))
 
         def table(rows: int, columns: int) -> nn.Parameter:
             return nn.Parameter(torch.zeros(rows, columns, dtype=torch.float64))
@@ -61,7 +62,7 @@ class ControlAugmentedSSMR(DiscreteTimeModel):
     def arguments(self) -> dict:
         return {name: getattr(self, name) for name in (
             "state_dim", "input_dim", "output_dim", "delays", "parametrization_degree", "dynamics_degree",
-            "input_degree", "saturated", "timestep", "window_timestep", "base_timestep")}
+            "input_degree", "state_degree", "saturated", "timestep", "window_timestep", "base_timestep")}
 
     def chart_regressors(self, window: Tensor, inputs: Tensor) -> Tensor:
         """[ŷ, û], (..., (n_d + 1) p + n_d m), such that encode = chart · regressors."""

@@ -15,8 +15,8 @@ from ssmr_torch.models.tables import DiscreteTimeTables
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ControlAugmentedTables(DiscreteTimeTables):
     """z = chart · [window, inputs held within it],   y = parametrization · z^{1:n_w},
-    z⁺ = z + base_timestep · dynamics · (z, u)^{1:n_r}, the monomials with degree ≤ n_u in u; those beyond the linear
-    ones of s(z) in place of z where `saturated`, see `saturation`.
+    z⁺ = z + base_timestep · dynamics · (z, u)^{1:n_r}, the monomials with degree ≤ n_u in u and ≤ state_degree in z;
+    those beyond the linear ones of s(z) in place of z where `saturated`, see `saturation`.
 
     chart (n, (n_d + 1) p + n_d m), parametrization (p, ·), dynamics (n, ·): float64, SI.
     """
@@ -27,6 +27,7 @@ class ControlAugmentedTables(DiscreteTimeTables):
     parametrization_degree: int
     dynamics_degree: int
     input_degree: int
+    state_degree: int | None = None
     saturated: bool = False
 
     @property
@@ -39,7 +40,7 @@ class ControlAugmentedTables(DiscreteTimeTables):
 
     @cached_property
     def dynamics_monomials(self) -> Monomials:
-        return joint_monomials(self.state_dim, self.input_dim, self.dynamics_degree, self.input_degree)
+        return joint_monomials(self.state_dim, self.input_dim, self.dynamics_degree, self.input_degree, self.state_degree)
 
     def encode(self, window: np.ndarray, inputs: np.ndarray) -> np.ndarray:
         leading = window.shape[:-2]
@@ -75,7 +76,9 @@ class ControlAugmentedTables(DiscreteTimeTables):
         return C, self.decode(z) - (C @ z[..., None])[..., 0]
 
 
-def joint_monomials(state_dim: int, input_dim: int, degree: int, input_degree: int) -> Monomials:
-    """(z, u)^{1:degree}, z before u, without those of a degree above `input_degree` in u."""
+def joint_monomials(state_dim: int, input_dim: int, degree: int, input_degree: int,
+                    state_degree: int | None = None) -> Monomials:
+    """(z, u)^{1:degree}, z before u, without those of a degree above `input_degree` in u or `state_degree` in z."""
     everything = Monomials(state_dim + input_dim, 1, degree)
-    return everything.selected(everything.exponents[:, state_dim:].sum(1) <= input_degree)
+    in_state, in_input = everything.exponents[:, :state_dim].sum(1), everything.exponents[:, state_dim:].sum(1)
+    return everything.selected((in_input <= input_degree) & (in_state <= (state_degree or degree)))
