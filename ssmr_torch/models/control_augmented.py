@@ -31,8 +31,8 @@ class ControlAugmentedSSMR(DiscreteTimeModel):
 
     def __init__(self, state_dim: int, input_dim: int, output_dim: int, delays: int = 1, *,
                  parametrization_degree: int = 1, dynamics_degree: int = 2, input_degree: int | None = None,
-                 state_degree: int | None = None, saturated: bool = False, timestep: float = 0.01, window_timestep: float | None = None,
-                 base_timestep: float | None = None):
+                 state_degree: int | None = None, saturated: bool = False, timestep: float = 0.01,
+                 window_timestep: float | None = None, base_timestep: float | None = None):
         super().__init__(state_dim, input_dim, output_dim, delays, timestep,
                          timestep if window_timestep is None else window_timestep, base_timestep)
         seen = self.window_dim + self.delays * self.input_dim

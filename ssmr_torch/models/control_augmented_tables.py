@@ -40,7 +40,8 @@ class ControlAugmentedTables(DiscreteTimeTables):
 
     @cached_property
     def dynamics_monomials(self) -> Monomials:
-        return joint_monomials(self.state_dim, self.input_dim, self.dynamics_degree, self.input_degree, self.state_degree)
+        return joint_monomials(self.state_dim, self.input_dim, self.dynamics_degree, self.input_degree,
+                               self.state_degree)
 
     def encode(self, window: np.ndarray, inputs: np.ndarray) -> np.ndarray:
         leading = window.shape[:-2]

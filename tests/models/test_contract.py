@@ -104,7 +104,8 @@ MODELS = {
     "control-augmented, cubic, affine in the input": lambda: random_control_augmented(
         delays=3, dynamics_degree=3, input_degree=1),
     "control-augmented, saturated": lambda: random_control_augmented(delays=2, dynamics_degree=3, saturated=True),
-    "control-augmented, linear in the state": lambda: random_control_augmented(delays=2, state_degree=1, saturated=True),
+    "control-augmented, linear in the state": lambda: random_control_augmented(
+        delays=2, state_degree=1, saturated=True),
     "SSSR": lambda: random_ssmr(delays=1),
     "SSMR": lambda: random_ssmr(delays=3, parametrization_degree=3, dynamics_degree=3, control_degree=1),
     "SSMR, constant input matrix": lambda: random_ssmr(delays=2, dynamics_degree=2, control_degree=0),
