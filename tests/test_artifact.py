@@ -12,6 +12,7 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from ssmr_torch import artifact
+from ssmr_torch.models.control_augmented_tables import ControlAugmentedTables
 from ssmr_torch.models.monomials import count_monomials
 from ssmr_torch.models.polynomial_tables import PolynomialTables
 
@@ -176,6 +177,21 @@ def test_another_format_is_refused_with_both_names(saved, key, value):
     (saved / "card.json").write_text(json.dumps(card_of(saved) | {key: value}))
     with pytest.raises(ValueError, match=f"'{value}'.*this version reads 'ssmr_torch artifact 2' of the kinds"):
         artifact.load(saved)
+
+
+def test_a_setting_that_is_newer_than_the_artifact_has_the_value_of_then(tmp_path):
+    model = ControlAugmentedTables(
+        chart=np.eye(2), parametrization=np.eye(2), dynamics=-np.ones((2, 3)), parametrization_degree=1,
+        dynamics_degree=1, input_degree=1, state_scale=np.ones(2), input_dim=1, output_dim=2, delays=0, timestep=0.01,
+        window_timestep=0.01, base_timestep=0.01)
+    at = artifact.save(tmp_path / "old", model, output_names=["x", "y"], input_names=["u"], rest=[0.0, 0.0],
+                       input_range=[[0.0], [1.0]])
+    card = json.loads((at / "card.json").read_text())
+    for newer in ("saturated", "state_degree"):
+        del card["model"][newer]
+    (at / "card.json").write_text(json.dumps(card))
+    loaded = artifact.load(at).model
+    assert loaded.saturated is False and loaded.state_degree is None
 
 
 def test_what_is_not_there_is_said_to_be_missing(tmp_path):
