@@ -84,23 +84,15 @@ def _chain(J, A, B, n, m, first):
 
 
 @compiled
-def _saturated_powers(x, tables, slopes, powers):
-    """powers = (s(z), u)^{0:d} of x = (z, u), and the slopes of s (n,)."""
-    n = len(slopes)
-    for i in range(n):
-        slopes[i] = 1.0
-    powers_of(x, tables.parent, tables.variable, powers)
-    beyond = False
-    for i in range(n):
-        over = abs(x[i]) / tables.edge[i] - 1.0
+def _saturated_powers(x, tables, within, slopes, powers):
+    """powers = (s(z), u)^{0:d} of x = (z, u), with within = (s(z), u) and the slopes of s (n,)."""
+    copy(x, within)
+    for i in range(len(slopes)):
+        over, slopes[i] = abs(x[i]) / tables.edge[i] - 1.0, 1.0
         if over > 0.0:
-            beyond = True
             bend = np.tanh(2.0 * over)
-            slopes[i] = 1.0 - bend * bend
-            powers[1 + i] = x[i] * (1.0 + 0.5 * bend) / (1.0 + over)
-    if beyond:
-        for i in range(len(tables.parent)):
-            powers[1 + len(x) + i] = powers[tables.parent[i]] * powers[1 + tables.variable[i]]
+            within[i], slopes[i] = x[i] * (1.0 + 0.5 * bend) / (1.0 + over), 1.0 - bend * bend
+    powers_of(within, tables.parent, tables.variable, powers)
 
 
 @compiled
@@ -126,14 +118,14 @@ def rollout_map(state, inputs, tables):
     N, m = inputs.shape
     n, p = len(state), tables.output.shape[0]
     states, outputs = np.empty((N + 1, n)), np.empty((N, p))
-    x, powers = np.empty(n + m), np.empty(1 + n + m + len(tables.parent))
+    x, within, powers = np.empty(n + m), np.empty(n + m), np.empty(1 + n + m + len(tables.parent))
     seen, slopes = np.empty(1 + n + len(tables.output_parent)), np.empty(n)
     copy(state, states[0])
     copy(state, x)
     for k in range(N):
         copy(inputs[k], x[n:])
         for _ in range(tables.repeats):
-            _saturated_powers(x, tables, slopes, powers)
+            _saturated_powers(x, tables, within, slopes, powers)
             _unsaturated(x, n, powers)
             table_product(tables.advance, powers, x[:n])
         copy(x[:n], states[k + 1])
@@ -149,14 +141,14 @@ def linearize_map(state, inputs, tables):
     n, p = len(state), tables.output.shape[0]
     states, outputs = np.empty((N + 1, n)), np.empty((N, p))
     A, B, C = np.empty((N, n, n)), np.empty((N, n, m)), np.empty((N, p, n))
-    x, powers = np.empty(n + m), np.empty(1 + n + m + len(tables.parent))
+    x, within, powers = np.empty(n + m), np.empty(n + m), np.empty(1 + n + m + len(tables.parent))
     seen, J, slopes = np.empty(1 + n + len(tables.output_parent)), np.empty(n * (n + m)), np.empty(n)
     copy(state, states[0])
     copy(state, x)
     for k in range(N):
         copy(inputs[k], x[n:])
         for repeat in range(tables.repeats):
-            _saturated_powers(x, tables, slopes, powers)
+            _saturated_powers(x, tables, within, slopes, powers)
             table_product(tables.advance_x, powers, J)
             _linear_beyond(tables, slopes, n, m, J)
             _chain(J, A[k], B[k], n, m, repeat == 0)

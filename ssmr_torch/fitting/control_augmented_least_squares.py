@@ -62,6 +62,7 @@ class ControlAugmentedLeastSquares(nn.Module):
 
     @torch.no_grad()
     def regressions(self, segment: Segment, stage: str) -> dict[str, Regression]:
+        """The rows of a segment for the coordinates, or one-step pairs for the dynamics and the parametrization."""
         model, delays = self.model, self.model.delays
         windows = delay_windows(segment.observation, delays)
         held = windows.new_zeros(len(windows), 0, model.input_dim)
