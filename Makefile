@@ -1,9 +1,10 @@
 # make run: the whole line on the trunk, with a coarse mesh; make run PRESET=full: with the full one.
-# make test: the tests.  Both make the environment first.
+# make test: the tests, in two processes; make test WORKERS=0: in one.  Both make the environment first.
 PYTHON ?= python3
 BIN := .venv/bin
 RUN := outputs/run/$(shell date +%Y-%m-%d_%H-%M-%S)
 PYTEST_ARGS ?=
+WORKERS ?= 2
 PRESET ?= quick
 PLANT_quick := trunk_coarse
 PLANT_full := trunk
@@ -31,7 +32,7 @@ run: .venv/installed
 	$(BIN)/python experiments/report.py directory=$(RUN) hydra.run.dir=$(RUN)/report
 
 test: .venv/installed
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(PYTEST_ARGS)
 
 lint: .venv/installed
 	$(BIN)/ruff check .

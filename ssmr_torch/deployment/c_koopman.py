@@ -142,5 +142,5 @@ def koopman(model: KoopmanTables) -> Family:
 def _repeated(model: KoopmanTables, repeats: int) -> KoopmanTables:
     """The linear map over all repeats."""
     zero = np.zeros(model.state_dim)
-    _, A, B = map_linearization(lambda z: z, lambda z: (model.A, model.B), zero, repeats)
+    _, A, B = map_linearization(lambda z: (z, model.A, model.B), zero, repeats)
     return replace(model, A=A, B=B, base_timestep=model.timestep)

@@ -201,11 +201,14 @@ class DiscreteTimeModel(ReducedModel):
     def advance_jacobians(self, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """∂z⁺/∂z (..., n, n) and ∂z⁺/∂u (..., n, m) of `advance`."""
 
+    def advance_linearization(self, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """`advance` and its Jacobians together."""
+        return self.advance(z, u), *self.advance_jacobians(z, u)
+
     def step(self, z: Tensor, u: Tensor) -> Tensor:
         return repeated_map(lambda x: self.advance(x, u), z, self.repeats)
 
     def linearize(self, z: Tensor, u: Tensor) -> Linearization:
-        following, A, B = map_linearization(lambda x: self.advance(x, u), lambda x: self.advance_jacobians(x, u), z,
-                                            self.repeats)
+        following, A, B = map_linearization(lambda x: self.advance_linearization(x, u), z, self.repeats)
         c = following - (A @ z[..., None])[..., 0] - (B @ u[..., None])[..., 0]
         return Linearization(A, B, c)

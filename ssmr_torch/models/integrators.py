@@ -54,16 +54,15 @@ def repeated_map(advance: Callable, z, repeats: int):
     return z
 
 
-def map_linearization(advance: Callable, jacobians: Callable, z, repeats: int):
+def map_linearization(linearization: Callable, z, repeats: int):
     """`repeated_map` and its derivatives (∂z⁺/∂z, ∂z⁺/∂u) by the chain rule.
 
-    jacobians(z) → (∂/∂z (..., n, n), ∂/∂u (..., n, m)) of one application at the held input.
+    linearization(z) → z⁺ and its ∂/∂z (..., n, n), ∂/∂u (..., n, m) of one application at the held input.
     """
     A = B = None
     for _ in range(repeats):
-        F, G = jacobians(z)
+        z, F, G = linearization(z)
         A, B = (F, G) if A is None else (F @ A, F @ B + G)
-        z = advance(z)
     return z, A, B
 
 

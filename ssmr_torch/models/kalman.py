@@ -22,10 +22,10 @@ class Noise(NamedTuple):
 def predict(model, z, covariance, u, process):
     """State z (..., n) and its covariance one base_timestep later with u held: z⁺ = f(z, u), P⁺ = A P Aᵀ + Q.
 
-    model: with `advance` and `advance_jacobians`, such as a `DiscreteTimeModel`.
+    model: with `advance_linearization`, such as a `DiscreteTimeModel`.
     """
-    A, _ = model.advance_jacobians(z, u)
-    return model.advance(z, u), A @ covariance @ A.swapaxes(-1, -2) + process
+    following, A, _ = model.advance_linearization(z, u)
+    return following, A @ covariance @ A.swapaxes(-1, -2) + process
 
 
 def correct(model, z, covariance, y, measurement, solve: Callable):

@@ -116,10 +116,13 @@ class DiscreteTimeTables(ModelTables):
     def advance_jacobians(self, z: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """∂z⁺/∂z (..., n, n) and ∂z⁺/∂u (..., n, m) of `advance`."""
 
+    def advance_linearization(self, z: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`advance` and its Jacobians together."""
+        return self.advance(z, u), *self.advance_jacobians(z, u)
+
     def step(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
         return repeated_map(lambda x: self.advance(x, u), z, self.repeats)
 
     def linearize(self, z: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        following, A, B = map_linearization(lambda x: self.advance(x, u), lambda x: self.advance_jacobians(x, u), z,
-                                            self.repeats)
+        following, A, B = map_linearization(lambda x: self.advance_linearization(x, u), z, self.repeats)
         return A, B, following - (A @ z[..., None])[..., 0] - (B @ u[..., None])[..., 0]
