@@ -33,7 +33,7 @@ from ssmr_torch import artifact
 from ssmr_torch.provenance import provenance
 from ssmr_torch.reproduction.gather import MODEL_COLUMNS, RUN_COLUMNS, model_row, note_of, run_row
 from ssmr_torch.reproduction.open_loop import map_open_loop
-from ssmr_torch.reproduction.plan import STAGES, Job, Step, chosen, keys, plan, quoted, slower_runs
+from ssmr_torch.reproduction.plan import STAGES, Job, Step, chosen, keys, plan, quoted, slower_runs, with_recordings
 
 SINGLE = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 TEXTS: dict[str, str] = {}  # of configuration files; no functools.cache, which a launcher could not pickle
@@ -46,7 +46,7 @@ def main(config, directory):
         return perform(Path(config.plan), config.job)
     for ended in (signal.SIGINT, signal.SIGTERM):
         signal.signal(ended, lambda *_: sys.exit("reproduce: ended by a signal; the same command goes on"))
-    settings = OmegaConf.to_container(config.preset, resolve=True)
+    settings = with_recordings(OmegaConf.to_container(config.preset, resolve=True), recordings(config.recordings))
     wanted = config.figures if isinstance(config.figures, str) else list(config.figures or [])
     figures, stages = chosen(settings, wanted), plan(settings, wanted)
     for module, install in ({config.launcher.module: config.launcher.install} | settings.get("needs", {})).items():
@@ -59,6 +59,17 @@ def main(config, directory):
     if failures:
         raise SystemExit("\n".join(["reproduce: something failed, and the same command tries it again", *failures]))
     return 0.0
+
+
+def recordings(path: str | None) -> str | None:
+    """Absolute path of the folder of recordings, which jobs read from wherever they run."""
+    if path is None:
+        return None
+    found = Path(path).expanduser().resolve()
+    if not found.is_dir():
+        raise ValueError(f"recordings={path} is no folder; expected the one with the bench's decays.mat and "
+                         "controlled_2022.mat, or null to leave the real bench out")
+    return str(found)
 
 
 @contextmanager

@@ -76,18 +76,18 @@ def save(path: Path, rows: list[dict], columns: list[str]) -> None:
 
 def save_best(directory: Path, best: dict, note: str, choices) -> None:
     """best.yaml: what was tuned before (unless ~tuned left it out), and over it the best job's overrides of model, fit,
-    derivative and the transient that is cut.
+    derivative and the transient that is cut. Another fit or derivative is written out, as composed in the best job:
+    Hydra lets no file below conf/tuned choose one.
     """
     before = Path(CONF) / "tuned" / str(choices.get("experiment")) / f"{choices.model}.yaml"
     settings = OmegaConf.load(before) if choices.get("tuned") and before.is_file() else OmegaConf.create()
-    groups = []
     for override in overrides_of(directory, best):
         section, _, rest = override.key_or_group.partition(".")
         if (section in TUNED and rest) or override.key_or_group == "module.transient":
             OmegaConf.update(settings, override.key_or_group, override.value(), force_add=True)
         elif section in TUNED and section != "model":
-            groups.append({f"override /{section}": override.value()})
-    settings = OmegaConf.merge({"defaults": groups} if groups else {}, settings)
+            composed = OmegaConf.load(directory / best["job"] / ".hydra" / "config.yaml")
+            OmegaConf.update(settings, section, composed[section], force_add=True)
     (directory / "best.yaml").write_text(f"# @package _global_\n# {note}\n{OmegaConf.to_yaml(settings)}")
 
 

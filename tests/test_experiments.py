@@ -216,6 +216,19 @@ def test_a_controller_is_tuned_on_a_task_of_its_own_and_its_best_settings_are_a_
     assert f"controller.observer.measurement_noise={best.observer.measurement_noise}" in rows[0]["overrides"]
 
 
+def test_what_was_searched_with_another_fit_is_written_out_as_conf_tuned_needs_it(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "experiments"))
+    from sweep_table import save_best
+
+    (tmp_path / "0" / ".hydra").mkdir(parents=True)
+    overrides = ["model.delays=4", "fit.closed_form.ridge.default=0.1", "fit=guarded", "module.transient=0.2"]
+    (tmp_path / "0" / "result.json").write_text(json.dumps({"overrides": overrides}))
+    composed = {"fit": {"closed_form": {"ridge": {"default": 0.1}}, "guard": {"reach": 3.0}}, "model": {"delays": 4}}
+    OmegaConf.save(OmegaConf.create(composed), tmp_path / "0" / ".hydra" / "config.yaml")
+    save_best(tmp_path, {"job": "0"}, "Found.", OmegaConf.create({"model": "ssmr", "experiment": "hardware"}))
+    assert OmegaConf.load(tmp_path / "best.yaml") == composed | {"module": {"transient": 0.2}}
+
+
 def test_a_tuned_controller_without_an_observer_names_none(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "experiments"))
     from sweep_table import save_controller

@@ -55,8 +55,8 @@ def plan(settings: Mapping, figures: str | Sequence[str] = "all") -> dict[str, l
     delays = [delay_job(settings, figure) for figure in its.values() if "delays" in figure]
     runs = {job.name: job for name in its for job in figure_runs(settings, name)}
     runs |= {need: known[need] for job in delays for need in job.needs if need in known}
-    open_loops = [open_loop_job(settings, robot)
-                  for robot in dict.fromkeys(robot for figure in its.values() for robot in figure.get("open_loop", ()))]
+    scored = dict.fromkeys(robot for figure in its.values() for robot in figure.get("open_loop", ()))
+    open_loops = [open_loop_job(settings, robot) for robot in scored]
     needed = {need for job in [*runs.values(), *open_loops] for need in job.needs}
     needed |= {name for figure in its.values() for robot in figure.get("models", ())
                for name in _model_names(settings, robot)}
@@ -82,8 +82,21 @@ def chosen(settings: Mapping, figures: str | Sequence[str]) -> list[str]:
     return [name for name in available if name in used | set(wanted)]
 
 
+def with_recordings(settings: Mapping, path: str | None) -> dict:
+    """The settings with robots that are recordings (data: its reader) taken from a folder; without these where there
+    is none.
+    """
+    robots = {name: dict(its) | ({"path": path} if its.get("data") else {}) for name, its in settings["robots"].items()
+              if path or not its.get("data")}
+    absent = set(settings["robots"]) - set(robots)
+    figures = {name: dict(its) | {key: [robot for robot in its[key] if robot not in absent]
+                                  for key in ("models", "open_loop") if key in its}
+               for name, its in settings["figures"].items()}
+    return dict(settings) | {"robots": robots, "figures": figures}
+
+
 def data_job(settings: Mapping, robot: str) -> Job:
-    """The robot's trajectories."""
+    """The robot's trajectories; recordings have none."""
     its = _robot(settings, robot)
     overrides = (*_plant(its), *_bench(its), f"excitation={its['excitation']}", "excitation.progress=false",
                  "workers=1", *its.get("collect", ()))
@@ -103,17 +116,19 @@ def model_job(settings: Mapping, robot: str, method: str) -> Job:
     overrides = (f"experiment={its['experiment']}", f"model={model}", *_plant(its), f"name={quoted(method)}",
                  *settings.get("training", ()), *settings.get("train", {}).get(method, ()),
                  *its.get("train", {}).get(method, ()))
-    train = Step("train", overrides, {"data.path": f"data/{robot}/trajectories.h5"})
+    given, files, needs = _trajectories(its, robot)
+    train = Step("train", (*overrides, *given), files)
     export = Step("export", ("formats=[]",), {"checkpoint": "./model.ckpt", "artifact": "./artifact"})
     return Job(_model_name(robot, method), f"{_model_name(robot, method)}/artifact/card.json", (train, export),
-               (f"data/{robot}",), {"robot": robot, "method": method, "model": model, "experiment": its["experiment"]})
+               needs, {"robot": robot, "method": method, "model": model, "experiment": its["experiment"]})
 
 
 def open_loop_job(settings: Mapping, robot: str) -> Job:
     """Scores of all of the robot's models from the same starts."""
-    step = Step("evaluate", tuple(settings.get("open_loop", ())), {"data.path": f"data/{robot}/trajectories.h5"})
+    given, files, needs = _trajectories(_robot(settings, robot), robot)
+    step = Step("evaluate", (*settings.get("open_loop", ()), *given), files)
     return Job(f"open_loop/{robot}", f"open_loop/{robot}.json", (step,),
-               (f"data/{robot}", *_model_names(settings, robot)), {"robot": robot})
+               (*needs, *_model_names(settings, robot)), {"robot": robot})
 
 
 def figure_runs(settings: Mapping, figure: str) -> list[Job]:
@@ -198,8 +213,17 @@ def _robot(settings: Mapping, robot: str) -> Mapping:
     return settings["robots"][robot]
 
 
+def _trajectories(its: Mapping, robot: str) -> tuple[tuple[str, ...], dict[str, str], tuple[str, ...]]:
+    """Where a robot's trajectories come from: overrides, files and needs of a job that reads them."""
+    if its.get("data"):
+        return (f"data={its['data']}", f"data.path={quoted(its['path'])}"), {}, ()
+    return (), {"data.path": f"data/{robot}/trajectories.h5"}, (f"data/{robot}",)
+
+
 def _plant(its: Mapping) -> tuple[str, ...]:
-    """The plant as its model knows it."""
+    """The plant as its model knows it; none of recordings."""
+    if its.get("data"):
+        return ()
     return (f"plant={its['plant']}", *([f"plant.mesh={quoted(its['mesh'])}"] if its.get("mesh") else []))
 
 

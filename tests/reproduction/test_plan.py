@@ -4,7 +4,7 @@ from copy import deepcopy
 
 import pytest
 
-from ssmr_torch.reproduction.plan import Job, Step, chosen, keys, plan, quoted, slower_runs
+from ssmr_torch.reproduction.plan import Job, Step, chosen, keys, plan, quoted, slower_runs, with_recordings
 
 SETTINGS = {
     "name": "test",
@@ -58,6 +58,28 @@ def test_a_closed_loop_is_planned_once_where_the_delay_study_and_its_figure_want
 def test_a_figure_brings_those_that_it_uses():
     assert chosen(SETTINGS, "pareto") == ["letters", "pareto"]
     assert names(plan(SETTINGS, "pareto")) == names(plan(SETTINGS, "letters"))
+
+
+def recorded() -> dict:
+    settings = deepcopy(SETTINGS)
+    settings["robots"]["real"] = {"data": "diamond_hardware", "experiment": "diamond_hardware", "methods": {"DMD": []}}
+    settings["figures"]["map"]["open_loop"].append("real")
+    settings["figures"]["table"]["models"].append("real")
+    return settings
+
+
+def test_recordings_are_trained_on_and_scored_where_they_are_and_nothing_is_collected():
+    stages = plan(with_recordings(recorded(), "/a b"), "map")
+    jobs = {job.name: job for job in flat(stages)}
+    assert [job.name for job in stages["data"]] == ["data/trunk"]
+    for name in ("models/real/DMD", "open_loop/real"):
+        assert {"data=diamond_hardware", "data.path='/a b'"} <= set(jobs[name].steps[0].overrides)
+        assert not jobs[name].steps[0].files
+        assert not any("plant" in override for override in jobs[name].steps[0].overrides)
+
+
+def test_without_a_folder_of_recordings_the_plan_is_that_of_the_other_robots():
+    assert keys(flat(plan(with_recordings(recorded(), None)))) == keys(flat(plan(SETTINGS)))
 
 
 def test_every_seed_of_an_obstacle_figure_is_another_set_and_methods_left_out_are_not_run():
