@@ -283,8 +283,8 @@ def tables(directory: Path, settings: dict) -> None:
     models = []
     for job in [job for job in done if "model" in job.about]:
         note = note_of(text_of(f"tuned/{job.about['experiment']}/{job.about['model']}.yaml"))
-        if settings["robots"][job.about["robot"]].get("train", {}).get(job.about["method"]):
-            note = "Set by the preset."
+        if own := settings["robots"][job.about["robot"]].get("train", {}).get(job.about["method"]):
+            note = " ".join([f"Set by the preset: {' '.join(own)}.", *([f"The rest: {note}"] if note else [])])
         models.append(model_row(job.about, read(directory / job.name / "report.json")["cost"],
                                 read(directory / job.product)["model"], note))
     for name, rows, columns in (("runs", runs, RUN_COLUMNS), ("models", models, MODEL_COLUMNS)):

@@ -66,6 +66,22 @@ def test_between_two_points_both_act_alike(model):
     torch.testing.assert_close(model.advance(z, u), (both[0] + both[1]) / 2, rtol=1e-9, atol=0)
 
 
+@pytest.mark.parametrize("width", [0.05, 0.5, 50.0])
+@pytest.mark.parametrize("shape", [(), (3,), (2, 3)])
+def test_tables_that_pass_over_far_points_blend_as_the_model_that_sums_all(width, shape):
+    generator = torch.Generator().manual_seed(7)
+    found = TPWL(2, 3, 3, modes=2, points=70, width=width)
+    with torch.no_grad():
+        for table in (found.A, found.B, found.c, found.points):
+            table.copy_(torch.randn(table.shape, generator=generator, dtype=torch.float64))
+    z = torch.randn(*shape, 4, generator=generator, dtype=torch.float64)
+    u = torch.randn(*shape, 2, generator=generator, dtype=torch.float64)
+    for ours, whole in zip(found.tables().advance_linearization(z.numpy(), u.numpy()),
+                           found.advance_linearization(z, u)):
+        np.testing.assert_allclose(ours, whole.detach(), rtol=1e-10, atol=1e-12 / width ** 2)
+    np.testing.assert_allclose(found.tables().advance(z.numpy(), u.numpy()), found.advance(z, u).detach(), atol=1e-13)
+
+
 def test_with_one_point_the_chart_is_the_kalman_filter_of_the_textbook(model):
     linear = TPWL.from_tables(dataclasses.replace(model.tables(), points=np.zeros((1, 2)), **{
         name: getattr(model.tables(), name)[:1] for name in ("A", "B", "c")}))
