@@ -105,8 +105,8 @@ FIGURES = {
         "Figure 10: the diamond on its bench",
         "The paper shows its hardware, motors that pull cables at a silicone diamond and cameras that see its tip, and "
         "the three tasks.", "", (),
-        here="Here the bench is emulated: another stiffness than the model's, and the sensors and motors of a rig. Where "
-             "recordings of the real one are given, models of them are scored in the open loop."),
+        here="Here the bench is emulated: another stiffness than the model's, and the sensors and motors of a rig. "
+             "Where recordings of the real one are given, models of them are scored in the open loop."),
     "fig11": Published(
         "Figure 11: the diamond on its bench in closed loop",
         "A quasi-static figure eight and a quasi-static circle, ten runs of each model, at the control rate that each "
