@@ -14,6 +14,7 @@ COLUMNS = 4
 SCALE = "cividis"
 BAD = "#CC3311"
 POINTS_PER_PATH = 600
+LONGEST = 16  # letters of a name that fit above a panel
 
 
 @styled
@@ -97,7 +98,8 @@ def draw_paths(axes, reference: np.ndarray, runs: Sequence[np.ndarray], name: st
 
 def title(axes, name: str, note: str | None = None) -> None:
     """The method in its colour, and what is to say of it below."""
-    axes.set_title(f"{name}\n" if note else name, color=figures.colours([name])[name])
+    lines = name.replace(" ", "\n", 1) if len(name) > LONGEST else name
+    axes.set_title(f"{lines}\n" if note else lines, color=figures.colours([name])[name])
     if note:
         axes.annotate(note, (0.5, 1.0), (0, 4), "axes fraction", "offset points", ha="center", va="bottom", fontsize=7)
 
