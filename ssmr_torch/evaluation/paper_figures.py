@@ -148,8 +148,8 @@ def beside(axes, row: float, text: str) -> None:
 
 def tiles(count: int, height: float, columns: int = COLUMNS, **options):
     """A figure of the paper's width with `count` panels of that height in rows, and the panels; none is left over."""
-    columns = min(columns, count)
     rows = math.ceil(count / columns)
+    columns = math.ceil(count / rows)  # as many in each row, as nearly as it goes
     width = WIDTH * (1.0 if columns > 2 else 0.35 + 0.3 * columns)
     figure, grid = figures.panels(width, 0.45 + height * rows, rows, columns, squeeze=False, **options)
     figure.set_layout_engine("compressed")  # knows that panels of equal scales do not fill their places
@@ -182,8 +182,14 @@ def plain_ticks(axis, low: float, high: float) -> None:
         ticks = [tick for tick in ticks if low <= tick <= high]
     if len(ticks) < 2:
         ticks = [float(f"{tick:.2g}") for tick in np.geomspace(low, high, 5)[1:-1]]
-    axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
+    axis.set_ticks(ticks, [_tick(tick, max(ticks)) for tick in ticks])
     axis.set_ticks([], minor=True)
+
+
+def _tick(value: float, largest: float) -> str:
+    """Powers of ten where plain numbers would not fit beside one another."""
+    exponent = math.log10(value)
+    return f"$10^{{{exponent:.0f}}}$" if largest > 1e4 and exponent == round(exponent) else f"{value:g}"
 
 
 def plain(value: float) -> str:

@@ -119,10 +119,12 @@ def reconstruction(rows: Sequence[Mapping], measured: np.ndarray, output_names: 
         axes.set(xlabel="delays (–)", ylabel=label, xticks=sorted({row["delays"] for row in rows}))
         axes.set_ylim(bottom=0.0)
     grid[0].axhline(100, color="#666666", linewidth=0.8, linestyle="--")
-    low, high = newest.min(), newest.max()
-    room = 0.15 * (high - low)
-    grid[2].set(xlabel=f"{output_names[0]} (mm)", ylabel=f"{output_names[1]} (mm)", xlim=(low - room, high + room),
-                ylim=(low - room, high + room), aspect="equal")
+    middle, half = 0.5 * (newest.max() + newest.min()), 0.5 * np.ptp(newest)
+    farthest = max(float(np.abs(line.get_xydata() - middle).max()) for line in grid[2].lines)
+    half = 1.1 * min(farthest, 2.0 * half)  # what is farther off leaves the panel
+    limits = (middle - half, middle + half)
+    grid[2].set(xlabel=f"{output_names[0]} (mm)", ylabel=f"{output_names[1]} (mm)", xlim=limits, ylim=limits,
+                aspect="equal")
     _legend(figure, grid[2], False)
     return figure
 

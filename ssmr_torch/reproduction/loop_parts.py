@@ -106,7 +106,7 @@ def _path_pictures(name: str, directory: Path, robot: str, task: str, methods: M
     if among_obstacles:
         drawn = paper_figures_runs.obstacle_paths({
             method: {"reference": records[0].reference, "path": paths[method][0], "obstacles": _circles(records[0]),
-                     "note": f"{MM ** 2 * least[method].ise:.3g} mm², "
+                     "note": f"{paper_figures.plain(MM ** 2 * least[method].ise)} mm², "
                              f"{PERCENT * least[method].violation_ratio:.2g} % inside"}
             for method, records in shown.items()}, axis_names)
         caption = f"{task}: the run of each method with the lowest ISE among its obstacles; red: inside one."
