@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from importlib import import_module
 from importlib.util import find_spec
@@ -137,9 +137,7 @@ def launch(config, directory: Path, stage: str, jobs: list[Job], hashes: dict[st
                 time.sleep(0.3)
                 bar.update(before + sum(status(directory, job.name).is_file() for job in jobs) - bar.n)
         finally:
-            if process.poll() is None:
-                process.terminate()
-                process.wait()
+            end(process)
             listed.unlink(missing_ok=True)
     bar.update(before + len(jobs) - bar.n)
     ended = {job.name: read(status(directory, job.name)) for job in jobs}
@@ -148,6 +146,15 @@ def launch(config, directory: Path, stage: str, jobs: list[Job], hashes: dict[st
     for name, message in failed.items():
         bar.write(f"{name} failed: {message}")
     return failed
+
+
+def end(process: subprocess.Popen) -> None:
+    """Interrupt a multirun that still runs, so that its launcher ends the workers; one that does not end is killed."""
+    for ask in (lambda: process.send_signal(signal.SIGINT), process.kill):
+        if process.poll() is None:
+            ask()
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(30)
 
 
 def again(directory: Path, settings: dict, planned: list[Job]) -> list[Job]:

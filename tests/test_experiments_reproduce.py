@@ -102,6 +102,27 @@ def test_killed_and_resumed_it_finds_the_same_numbers_to_the_last_digit(whole, t
 
 
 @pytest.mark.slow
+def test_interrupted_it_leaves_no_process_behind(tmp_path):
+    process = subprocess.Popen([sys.executable, str(SCRIPT), "preset=miniature", f"hydra.run.dir={tmp_path}"],
+                               stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True)
+
+    def running() -> list[str]:
+        found = subprocess.run(["ps", "-ww", "-o", "args=", "-s", str(process.pid)], capture_output=True, text=True)
+        return found.stdout.splitlines()
+
+    def wait_until(condition) -> bool:
+        until = time.monotonic() + 120
+        while not condition() and time.monotonic() < until:
+            time.sleep(0.2)
+        return condition()
+
+    assert wait_until(lambda: any("LokyProcess" in line for line in running()))
+    process.send_signal(signal.SIGINT)
+    assert "ended by a signal; the same command goes on" in process.communicate()[1]
+    assert process.returncode != 0 and wait_until(lambda: not running()), running()
+
+
+@pytest.mark.slow
 def test_a_failing_job_is_reported_and_missing_and_stops_no_other(whole, tmp_path):
     elsewhere = tmp_path / "a copy"
     shutil.copytree(whole, elsewhere)
