@@ -16,7 +16,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from ssmr_torch.closed_loop import ClosedLoopRecord
-from ssmr_torch.reproduction.plan import plan
+from ssmr_torch.reproduction.plan import plan, with_recordings
 
 ROOT = Path(__file__).resolve().parents[1]
 CONF, SCRIPT = ROOT / "conf", ROOT / "experiments" / "reproduce.py"
@@ -141,6 +141,7 @@ def test_a_failing_job_is_reported_and_missing_and_stops_no_other(whole, tmp_pat
 @pytest.mark.parametrize(("arguments", "message"), [
     (["figures=fig13"], "figures is 'fig13'; expected all or some of table1, fig3"),
     (["launcher.module=hydra_plugins.nowhere"], "nowhere is not installed: pip install 'ssmr_torch[parallel]'"),
+    (["recordings=nowhere"], "recordings=nowhere is no folder; expected the one with the bench's decays.mat"),
     (["preset.figures.fig7.robot=snake"], "no robot 'snake'; the settings have trunk, hardware"),
 ])
 def test_bad_input_ends_in_one_clear_message_before_any_work(tmp_path, arguments, message):
@@ -160,11 +161,11 @@ def test_every_launcher_names_a_plugin_and_how_to_get_it(launcher):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
-def test_every_job_of_every_preset_composes(preset):
+def test_every_job_of_every_preset_composes(preset, tmp_path):
     with initialize_config_dir(str(CONF), version_base="1.3"):
         settings = OmegaConf.to_container(compose("reproduce", [f"preset={preset}"]).preset, resolve=True)
         assert settings["name"] == preset
-        for jobs in plan(settings).values():
+        for jobs in plan(with_recordings(settings, str(tmp_path))).values():
             for step in (step for job in jobs if job.about.get("seed", 0) == 0 for step in job.steps):
                 compose(step.entry, list(step.overrides))
 
