@@ -59,6 +59,7 @@ class TPWLTables(DiscreteTimeTables):
         return self.advance_linearization(z, u)[1:]
 
     def advance_linearization(self, z: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """z⁺, ∂z⁺/∂z = Σ_i w_i A_i + Σ_i (A_i z + B_i u + c_i) (∂w_i/∂z)ᵀ and ∂z⁺/∂u = Σ_i w_i B_i in one pass."""
         if self.width == 0.0:
             return self._at_nearest(z, u)
         n, q = self.state_dim, self.points.shape[1]

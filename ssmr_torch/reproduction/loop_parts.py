@@ -20,7 +20,11 @@ from ssmr_torch.tasks.obstacles import random_circles
 PATHS = 10  # runs of a method that are drawn
 
 
-def loop_parts(figure: str, directory: Path, results: Results) -> list:
+def loop_parts(figure: str, directory: Path, results: Results) -> list[Table | Picture]:
+    """Table, paths and relative ISE of a figure's closed loops, among obstacles also boxes.
+
+    None where there are no runs. Drawings are saved below directory/figures.
+    """
     places = loops(figure, results.runs)
     if not places:
         return []
@@ -46,7 +50,8 @@ def loop_parts(figure: str, directory: Path, results: Results) -> list:
     return parts
 
 
-def pareto_parts(directory: Path, results: Results) -> list:
+def pareto_parts(directory: Path, results: Results) -> list[Table | Picture]:
+    """Drawing and table of ISE (mm²) over solve time / control period of all methods and tasks of Fig. 8."""
     tasks, rows, runs = {}, [], set()
     for (robot, task), methods in loops("fig8", results.runs).items():
         means = {name: tally(own) for name, own in methods.items()}

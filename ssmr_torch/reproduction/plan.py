@@ -47,9 +47,10 @@ def plan(settings: Mapping, figures: str | Sequence[str] = "all") -> dict[str, l
     """The jobs of each of `STAGES` that the chosen figures need, slow ones first; runs at longer periods are added by
     `slower_runs` when the first ones are known.
 
-    settings: plain values of a preset (conf/preset). Raises ValueError for a figure, robot or method that the settings
-    do not have.
+    settings: plain values of a preset (conf/preset). Recordings without a path, see `with_recordings`, are left out.
+    Raises ValueError for a figure, robot or method that the settings do not have.
     """
+    settings = _at_hand(settings)
     known = {job.name: job for name in settings["figures"] for job in figure_runs(settings, name)}
     its = {name: settings["figures"][name] for name in chosen(settings, figures)}
     delays = [delay_job(settings, figure) for figure in its.values() if "delays" in figure]
@@ -83,15 +84,18 @@ def chosen(settings: Mapping, figures: str | Sequence[str]) -> list[str]:
 
 
 def with_recordings(settings: Mapping, path: str | None) -> dict:
-    """The settings with robots that are recordings (data: its reader) taken from a folder; without these where there
-    is none.
-    """
-    robots = {name: dict(its) | ({"path": path} if its.get("data") else {}) for name, its in settings["robots"].items()
-              if path or not its.get("data")}
-    absent = set(settings["robots"]) - set(robots)
+    """The settings with robots that are recordings (data: their reader) read from this folder."""
+    robots = {name: dict(its) | ({"path": path} if its.get("data") else {}) for name, its in settings["robots"].items()}
+    return dict(settings) | {"robots": robots}
+
+
+def _at_hand(settings: Mapping) -> dict:
+    """The settings without recordings whose folder nobody has given."""
+    absent = {name for name, its in settings["robots"].items() if its.get("data") and not its.get("path")}
     figures = {name: dict(its) | {key: [robot for robot in its[key] if robot not in absent]
                                   for key in ("models", "open_loop") if key in its}
                for name, its in settings["figures"].items()}
+    robots = {name: its for name, its in settings["robots"].items() if name not in absent}
     return dict(settings) | {"robots": robots, "figures": figures}
 
 

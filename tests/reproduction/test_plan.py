@@ -79,7 +79,8 @@ def test_recordings_are_trained_on_and_scored_where_they_are_and_nothing_is_coll
 
 
 def test_without_a_folder_of_recordings_the_plan_is_that_of_the_other_robots():
-    assert keys(flat(plan(with_recordings(recorded(), None)))) == keys(flat(plan(SETTINGS)))
+    for settings in (recorded(), with_recordings(recorded(), None)):
+        assert keys(flat(plan(settings))) == keys(flat(plan(SETTINGS)))
 
 
 def test_every_seed_of_an_obstacle_figure_is_another_set_and_methods_left_out_are_not_run():
