@@ -40,9 +40,10 @@ def loop_parts(figure: str, directory: Path, results: Results) -> list[Table | P
             statistics = {name: {key: np.array([getattr(run, key) for run in own])
                                  for key in ("ise", "violation_ratio", "max_violation")}
                           for name, own in methods.items()}
-            parts.append(Picture(save(paper_figures_runs.obstacle_boxes(statistics), f"{figure}-boxes"),
-                                 "ISE, share of the time inside an obstacle, largest depth of each run; beside each "
-                                 "box its median.", of_each(methods), "mm², %, mm"))
+            stem = f"{figure}-boxes" + (f"-{task.replace(' ', '-')}" if len(places) > 1 else "")
+            parts.append(Picture(save(paper_figures_runs.obstacle_boxes(statistics), stem),
+                                 f"{task}: ISE, share of the time inside an obstacle, largest depth of each run; "
+                                 "beside each box its median.", of_each(methods), "mm², %, mm"))
     if relative and not among_obstacles:
         parts.append(Picture(save(paper_figures_runs.relative_ise_bars(relative), f"{figure}-relative"),
                              "ISE relative to the mean of SSMR, with bootstrap 95 % intervals of the mean (none of a "
@@ -96,10 +97,11 @@ def _loop_table(figure: str, places: Mapping) -> Table:
 
 def _path_pictures(name: str, directory: Path, robot: str, task: str, methods: Mapping[str, Sequence[Run]],
                    among_obstacles: bool) -> list[Picture]:
-    """The best run of each method over the reference, among obstacles or with some of the others."""
-    shown = {method: [ClosedLoopRecord.load(directory / run.record)
-                      for run in sorted(own, key=lambda run: run.ise)[:1 if among_obstacles else PATHS]
-                      if (directory / run.record).is_file()] for method, own in methods.items()}
+    """Over the reference, one run of all methods among the same obstacles, or the best of each and some others."""
+    kept = {method: [run for run in own if (directory / run.record).is_file()] for method, own in methods.items()}
+    kept = _same_seed(kept) if among_obstacles else {
+        method: sorted(own, key=lambda run: run.ise)[:PATHS] for method, own in kept.items()}
+    shown = {method: [ClosedLoopRecord.load(directory / run.record) for run in own] for method, own in kept.items()}
     shown = {method: records for method, records in shown.items() if records and len(records[0].tracked) == 2}
     if not shown:
         return []
@@ -107,19 +109,31 @@ def _path_pictures(name: str, directory: Path, robot: str, task: str, methods: M
     axis_names = tuple(first.output_names[column].removeprefix("tip_") for column in first.tracked)
     paths = {method: [record.observation[:, list(record.tracked)] for record in records]
              for method, records in shown.items()}
-    least = {method: min(methods[method], key=lambda run: run.ise) for method in shown}
+    least = {method: kept[method][0] for method in shown}
     if among_obstacles:
         drawn = paper_figures_runs.obstacle_paths({
             method: {"reference": records[0].reference, "path": paths[method][0], "obstacles": _circles(records[0]),
                      "note": f"{paper_figures.plain(MM ** 2 * least[method].ise)} mm², "
                              f"{PERCENT * least[method].violation_ratio:.2g} % inside"}
             for method, records in shown.items()}, axis_names)
-        caption = f"{task}: the run of each method with the lowest ISE among its obstacles; red: inside one."
+        caption = (f"{task}: all methods in one run, that in which {next(iter(shown))} has its median ISE; red: "
+                   "inside an obstacle.")
     else:
         notes = {method: f"RMSE {MM * least[method].rmse:.3g} mm" for method in shown}
         drawn = paper_figures.tracked_paths(first.reference, paths, axis_names, notes)
         caption = f"{task}, {robot}: best run (bold, its RMSE above) and up to {PATHS - 1} others; dashed: reference."
     return [Picture(saver(directory)(drawn, name), caption, of_each(methods), "mm")]
+
+
+def _same_seed(methods: Mapping[str, Sequence[Run]]) -> dict[str, list[Run]]:
+    """The run of each method with the seed that gives the first of them its median ISE, of those that all have."""
+    methods = {name: {run.seed: run for run in own} for name, own in methods.items() if own}
+    common = set.intersection(*map(set, methods.values())) if methods else set()
+    if not common:
+        return {name: [] for name in methods}
+    first = next(iter(methods.values()))
+    seed = sorted(common, key=lambda seed: first[seed].ise)[(len(common) - 1) // 2]
+    return {name: [own[seed]] for name, own in methods.items()}
 
 
 def _circles(record: ClosedLoopRecord) -> np.ndarray:

@@ -140,9 +140,10 @@ def figure_runs(settings: Mapping, figure: str) -> list[Job]:
     its = settings["figures"][figure]
     if "robot" not in its:
         return []
-    methods = [method for method in _robot(settings, its["robot"])["methods"] if method not in its.get("without", ())]
+    methods = _robot(settings, its["robot"])["methods"]
     return [run_job(settings, figure, method, task, seed, PERIOD)
-            for task in its["tasks"] for seed in range(its["seeds"]) for method in methods]
+            for task in its["tasks"] for seed in range(its["seeds"])
+            for method in methods if method not in (*its.get("without", ()), *_task(its, task).get("without", ()))]
 
 
 def run_job(settings: Mapping, figure: str, method: str, task: str, seed: int, period: float) -> Job:
@@ -150,13 +151,19 @@ def run_job(settings: Mapping, figure: str, method: str, task: str, seed: int, p
     its = settings["figures"][figure]
     robot = its["robot"]
     bench = _robot(settings, robot)
-    overrides = (*_plant(bench), *_bench(bench), *bench["methods"][method], *its["tasks"][task],
+    overrides = (*_plant(bench), *_bench(bench), *bench["methods"][method], *_task(its, task)["control"],
                  *settings.get("control", ()), *bench.get("control", ()), f"controller.period={period:g}",
                  f"seed={seed}", *(f"{key}={seed}" for key in its.get("seeded", ())))
     step = Step("control", overrides, {"artifact": f"{_model_name(robot, method)}/artifact"})
     name = f"runs/{figure}/{robot}/{method}/{task}/{seed}-{1e3 * period:g}ms"
     return Job(name, f"{name}/metrics.json", (step,), (_model_name(robot, method),),
                {"figure": figure, "robot": robot, "method": method, "task": task, "seed": seed, "period": period})
+
+
+def _task(figure: Mapping, name: str) -> Mapping:
+    """control: options of the closed loops of a figure's task; without: methods that it leaves out."""
+    its = figure["tasks"][name]
+    return its if isinstance(its, Mapping) else {"control": its}
 
 
 def slower_runs(settings: Mapping, runs: Iterable[Job], solve_p99: Mapping[str, float]) -> list[Job]:

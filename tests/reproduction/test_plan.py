@@ -89,6 +89,12 @@ def test_every_seed_of_an_obstacle_figure_is_another_set_and_methods_left_out_ar
         "0-20ms", "1-20ms", "2-20ms"]
     assert {job.about["method"] for job in runs} == {"SSMR", "neural ODE"}
     assert runs[-1].steps[0].overrides[-2:] == ("seed=2", "task.obstacles.seed=2")
+    settings = deepcopy(SETTINGS)
+    settings["figures"]["obstacles"]["tasks"]["margin"] = {
+        "control": ["task=stanford_obstacles", "controller.margins=[1]"], "without": ["neural ODE"]}
+    runs = plan(settings, "obstacles")["open loop and runs"]
+    assert [job.name for job in runs[6:]] == [f"runs/obstacles/trunk/SSMR/margin/{seed}-20ms" for seed in range(3)]
+    assert "controller.margins=[1]" in runs[6].steps[0].overrides
 
 
 def test_the_bench_is_between_plant_and_controller_but_no_model_knows_of_it():

@@ -109,6 +109,10 @@ def test_among_obstacles_error_time_inside_and_depth_must_all_be_lowest():
     found = judge("fig9", Results(among(5e-5)))
     assert found.verdict == "refuted"
     assert "lowest in 2 of 3" in found.reason and "0.1 mm against 0.05 mm" in found.reason
+    margin = run("fig9", "SSMR", 3.0, task="with a margin")
+    found = judge("fig9", Results([*among(2e-4), margin]))
+    assert found.verdict == "reproduced" and found.reason.endswith(
+        "; with a margin, n = 1: ISE of SSMR 3 mm², time inside 0 %, depth 0 mm.")
     never = [run("fig12", "SSMR", 1.0), run("fig12", "TPWL", 2.0)]
     assert judge("fig12", Results(never)).verdict == "reproduced"
 
