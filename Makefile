@@ -32,7 +32,7 @@ run: .venv/installed
 	$(BIN)/python experiments/report.py directory=$(RUN) hydra.run.dir=$(RUN)/report
 
 test: .venv/installed
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(PYTEST_ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(PYTEST_ARGS)
 
 lint: .venv/installed
 	$(BIN)/ruff check .

@@ -63,6 +63,7 @@ def test_the_symbolic_step_is_our_step(benchmark, contenders):
     np.testing.assert_allclose(step(z, u).full().ravel(), model.step(z, u), rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_scaling_runs_over_horizons_states_and_obstacles(benchmark, monkeypatch, capsys):
     scaling = benchmark("control_scaling")
     for name, sizes in (("HORIZONS", (3,)), ("STATES", (6, 24)), ("CIRCLES", (0, 3))):
@@ -83,6 +84,7 @@ def test_windows_of_measurements_follow_the_plant(benchmark):
     assert np.abs(model.decode(z) - truth).max() < 0.05 * step.RANGE
 
 
+@pytest.mark.slow
 def test_endurance_says_whether_memory_grew(benchmark, monkeypatch, capsys):
     endurance = benchmark("control_endurance")
     assert endurance.main(["--steps", "100"]) == 0

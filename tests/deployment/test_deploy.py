@@ -122,6 +122,7 @@ def test_a_folder_with_forms_but_no_card_is_not_taken_for_an_artifact(saved, tmp
             "output_names", "input_names", "rest", "input_range")})
 
 
+@pytest.mark.slow
 def test_the_command_line_writes_the_forms_of_an_existing_artifact(saved, tmp_path):
     done = export(f"artifact={saved}", "formats=c", at=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -105,7 +105,8 @@ def test_an_unstable_start_is_made_to_hold_first(known, tmp_path):
 
 @pytest.mark.filterwarnings("ignore:.*does not have many workers")
 @pytest.mark.filterwarnings("ignore:.*smaller than the logging interval")
-@pytest.mark.parametrize(("kind", "share"), [(SSMR, 0.08), (ControlAugmentedSSMR, 0.03)])
+@pytest.mark.parametrize(("kind", "share"), [
+    pytest.param(SSMR, 0.08, marks=pytest.mark.slow), (ControlAugmentedSSMR, 0.03)])
 def test_a_start_that_runs_away_under_stronger_inputs_is_led_back(known, tmp_path, kind, share):
     model, dataset = started(known, kind), known.dataset()
     table, features = (model.drift_table, model.drift_features) if kind is SSMR else (

@@ -77,6 +77,7 @@ class Spring:
         return np.linalg.norm(found.numpy()[:, 1] - self.drift(y)[:, 1]) / np.linalg.norm(self.drift(y)[:, 1])
 
 
+@pytest.mark.slow
 def test_it_recovers_the_force_of_a_spring_that_a_linear_model_cannot(tmp_path):
     torch.manual_seed(0)
     spring = Spring()
