@@ -142,7 +142,7 @@ def figure_runs(settings: Mapping, figure: str) -> list[Job]:
         return []
     methods = _robot(settings, its["robot"])["methods"]
     return [run_job(settings, figure, method, task, seed, PERIOD)
-            for task in its["tasks"] for seed in range(its["seeds"])
+            for task in its["tasks"] for seed in range(min(its["seeds"], _task(its, task).get("seeds", its["seeds"])))
             for method in methods if method not in (*its.get("without", ()), *_task(its, task).get("without", ()))]
 
 
@@ -161,7 +161,7 @@ def run_job(settings: Mapping, figure: str, method: str, task: str, seed: int, p
 
 
 def _task(figure: Mapping, name: str) -> Mapping:
-    """control: options of the closed loops of a figure's task; without: methods that it leaves out."""
+    """control: options of the closed loops of a figure's task; seeds: its own, if fewer; without: methods left out."""
     its = figure["tasks"][name]
     return its if isinstance(its, Mapping) else {"control": its}
 
