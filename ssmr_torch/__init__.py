@@ -5,4 +5,4 @@ Plant ─collect→ Trajectories ─train→ ReducedModel ─export→ Artifact 
 Units are SI throughout (m, s, kg, N). Observations are displacements from the rest position.
 """
 
-__version__ = "0.7.0"
+__version__ = "0.7.1"
