@@ -129,7 +129,8 @@ def _expecting(path: str | Path, what: str) -> Iterator[None]:
         yield
     except FileNotFoundError:
         raise
-    except (KeyError, ValueError, TypeError, IndexError, OSError, NotImplementedError, MatReadError) as error:
+    # a foreign file: loadmat raises the last four, a field that is missing, of another shape or no number the others
+    except (LookupError, TypeError, ValueError, OSError, NotImplementedError, MatReadError) as error:
         raise ValueError(f"{path} is not {what}; failed at {error}") from error
 
 

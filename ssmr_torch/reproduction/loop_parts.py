@@ -23,7 +23,7 @@ PATHS = 10  # runs of a method that are drawn
 def loop_parts(figure: str, directory: Path, results: Results) -> list[Table | Picture]:
     """Table, paths and relative ISE of a figure's closed loops, among obstacles also boxes.
 
-    None where there are no runs. Drawings are saved below directory/figures.
+    Nothing where there are no runs. Drawings are saved below directory/figures.
     """
     places = loops(figure, results.runs)
     if not places:
@@ -109,17 +109,16 @@ def _path_pictures(name: str, directory: Path, robot: str, task: str, methods: M
     axis_names = tuple(first.output_names[column].removeprefix("tip_") for column in first.tracked)
     paths = {method: [record.observation[:, list(record.tracked)] for record in records]
              for method, records in shown.items()}
-    least = {method: kept[method][0] for method in shown}
     if among_obstacles:
         drawn = paper_figures_runs.obstacle_paths({
             method: {"reference": records[0].reference, "path": paths[method][0], "obstacles": _circles(records[0]),
-                     "note": f"{paper_figures.plain(MM ** 2 * least[method].ise)} mm², "
-                             f"{PERCENT * least[method].violation_ratio:.2g} % inside"}
+                     "note": f"{paper_figures.plain(MM ** 2 * kept[method][0].ise)} mm², "
+                             f"{PERCENT * kept[method][0].violation_ratio:.2g} % inside"}
             for method, records in shown.items()}, axis_names)
         caption = (f"{task}: all methods in one run, that in which {next(iter(shown))} has its median ISE; red: "
                    "inside an obstacle.")
     else:
-        notes = {method: f"RMSE {MM * least[method].rmse:.3g} mm" for method in shown}
+        notes = {method: f"RMSE {MM * kept[method][0].rmse:.3g} mm" for method in shown}
         drawn = paper_figures.tracked_paths(first.reference, paths, axis_names, notes)
         caption = f"{task}, {robot}: best run (bold, its RMSE above) and up to {PATHS - 1} others; dashed: reference."
     return [Picture(saver(directory)(drawn, name), caption, of_each(methods), "mm")]

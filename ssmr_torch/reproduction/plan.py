@@ -141,9 +141,9 @@ def figure_runs(settings: Mapping, figure: str) -> list[Job]:
     if "robot" not in its:
         return []
     methods = _robot(settings, its["robot"])["methods"]
-    return [run_job(settings, figure, method, task, seed, PERIOD)
-            for task in its["tasks"] for seed in range(min(its["seeds"], _task(its, task).get("seeds", its["seeds"])))
-            for method in methods if method not in (*its.get("without", ()), *_task(its, task).get("without", ()))]
+    return [run_job(settings, figure, method, name, seed, PERIOD)
+            for name, task in ((name, _task(its, name)) for name in its["tasks"])
+            for seed in range(task["seeds"]) for method in methods if method not in task["without"]]
 
 
 def run_job(settings: Mapping, figure: str, method: str, task: str, seed: int, period: float) -> Job:
@@ -161,9 +161,13 @@ def run_job(settings: Mapping, figure: str, method: str, task: str, seed: int, p
 
 
 def _task(figure: Mapping, name: str) -> Mapping:
-    """control: options of the closed loops of a figure's task; seeds: its own, if fewer; without: methods left out."""
+    """control: options of a task's closed loops; seeds: its own or the figure's, whichever are fewer; without: methods
+    that the task or the figure leaves out.
+    """
     its = figure["tasks"][name]
-    return its if isinstance(its, Mapping) else {"control": its}
+    its = its if isinstance(its, Mapping) else {"control": its}
+    return {"control": its["control"], "seeds": min(figure["seeds"], its.get("seeds", figure["seeds"])),
+            "without": (*figure.get("without", ()), *its.get("without", ()))}
 
 
 def slower_runs(settings: Mapping, runs: Iterable[Job], solve_p99: Mapping[str, float]) -> list[Job]:

@@ -254,11 +254,11 @@ def _obstacles(figure: str, results: Results) -> Verdict:
                         f"{best}, the best other")
         return Verdict(_rank(all(holds), False), (
             f"{task}, means over {_counts(own)}: SSMR is lowest in {sum(holds)} of 3 ({'; '.join(said)})"
-            f"{_beyond(means, paper.methods)}{_safety(places, task)}."))
+            f"{_beyond(means, paper.methods)}{_further_tasks(places, task)}."))
     return _missing(f"runs.csv has no task of {figure} with SSMR and a baseline")
 
 
-def _safety(places: Mapping[str, Mapping[str, Tally]], judged: str) -> str:
+def _further_tasks(places: Mapping[str, Mapping[str, Tally]], judged: str) -> str:
     further = {task: means[REFERENCE] for task, means in places.items() if task != judged and REFERENCE in means}
     return "".join(f"; {task}, n = {mean.n}: ISE of SSMR {MM ** 2 * mean.ise:.3g} mm², time inside "
                    f"{PERCENT * mean.violation_ratio:.3g} %, depth {MM * mean.max_violation:.3g} mm"
