@@ -22,7 +22,8 @@ def learn(solve_stages, dataset, *, state_dim=6, delays=1, degree=1, transient=0
     return model
 
 
-@pytest.mark.parametrize("calibration", ["joint", pytest.param("frozen", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("calibration", ["joint", "frozen"])
 def test_the_simulated_diamond_is_predicted_across_the_seam(measurements, solve_stages, calibration):
     dataset = readers.diamond_simulated(measurements("diamond_simulated"))
     runs = dataset.select("test", "controlled")

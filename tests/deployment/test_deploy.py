@@ -130,6 +130,7 @@ def test_the_command_line_writes_the_forms_of_an_existing_artifact(saved, tmp_pa
     assert (saved / "deployed" / "ssmr_ours.c").is_file()
 
 
+@pytest.mark.slow
 def test_the_command_line_says_what_to_give_where_nothing_is_given(tmp_path):
     done = export(at=tmp_path)
     assert done.returncode != 0 and "Traceback" not in done.stderr

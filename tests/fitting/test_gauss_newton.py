@@ -82,7 +82,7 @@ def started(known, kind):
 
 @pytest.mark.filterwarnings("ignore:.*does not have many workers")
 @pytest.mark.filterwarnings("ignore:.*smaller than the logging interval")
-@pytest.mark.parametrize("kind", [SSMR, ControlAugmentedSSMR])
+@pytest.mark.parametrize("kind", [pytest.param(SSMR, marks=pytest.mark.slow), ControlAugmentedSSMR])
 def test_what_a_linear_model_misses_is_found_and_the_result_is_guarded(known, tmp_path, kind):
     model = started(known, kind)
     dataset = known.dataset()

@@ -73,7 +73,7 @@ def test_manifold_and_reduced_dynamics_seen_through_delays_converge_at_the_order
         assert (observed[name] > degree + 1 - 0.35).all(), (name, observed[name], values[name])
 
 
-@pytest.mark.parametrize("calibration", ["frozen", "joint"])
+@pytest.mark.parametrize("calibration", [pytest.param("frozen", marks=pytest.mark.slow), "joint"])
 @pytest.mark.parametrize("degree", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_control_field_converges_at_the_order_of_its_degree(solve_stages, degree, calibration):
     observed, values = orders([errors(solve_stages, degree, a, "state", 0, calibration) for a in AMPLITUDES])

@@ -218,6 +218,7 @@ def perturbed(model, share=0.03):
     return other
 
 
+@pytest.mark.slow
 def test_a_gradient_fit_recovers_the_predictions_that_a_perturbation_spoiled(dataset, whole, tmp_path):
     model = perturbed(whole.model)
     chart, parametrization = model.chart.clone(), model.parametrization.clone()
