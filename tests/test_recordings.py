@@ -37,6 +37,7 @@ def test_the_simulated_diamond_is_predicted_across_the_seam(measurements, solve_
         assert curved[horizon].diverged == 0
 
 
+@pytest.mark.slow
 def test_the_hardware_trunk_is_predicted_better_than_by_persistence_and_constant_velocity(measurements, solve_stages):
     dataset = readers.trunk_hardware(measurements("trunk_hardware")).observing(["marker3_x", "marker3_y", "marker3_z"])
     assert sum(run.kind == "decay" for run in dataset.select("train")) == 37

@@ -154,6 +154,7 @@ def test_a_decay_whose_inputs_have_not_let_go_is_refused():
         record(SlowManifold(), plan, seed=0)
 
 
+@pytest.mark.slow
 def test_the_default_configuration_records_forty_decays_and_the_published_number_of_transitions():
     plant = hydra.utils.instantiate(OmegaConf.load(CONF / "plant" / "slow_manifold.yaml"))
     recipe = hydra.utils.instantiate(OmegaConf.load(CONF / "excitation" / "default.yaml"))

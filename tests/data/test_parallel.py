@@ -106,7 +106,7 @@ def test_the_work_is_done_by_others_with_one_thread_each(plants, small, tmp_path
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
 @pytest.mark.parametrize(("workers", "blow"), [
-    (1, signal.SIGKILL), pytest.param(2, signal.SIGKILL, marks=pytest.mark.slow), pytest.param(2, signal.SIGINT, marks=pytest.mark.slow)])
+    (1, signal.SIGKILL), *(pytest.param(2, blow, marks=pytest.mark.slow) for blow in (signal.SIGKILL, signal.SIGINT))])
 def test_an_interrupted_collection_leaves_no_process_and_goes_on_where_it_stopped(plant, small, tmp_path, workers,
                                                                                   blow):
     script, directory = tmp_path / "script.py", tmp_path / "directory"

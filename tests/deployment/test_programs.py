@@ -14,8 +14,9 @@ NAMES = ("encode", "decode", "step", "step_jacobians")
 # one of each kind and of what may go wrong in each; the slow ones differ from these in degrees or sizes
 UNROLLED = [pytest.param(kind, marks=pytest.mark.slow) for kind in (
     "TPWL", "TPWL, blended", "neural ODE", "SSSR", "SSMR, constant input matrix", "SSMR, quadratic control field",
-    "EDMD, lifted anew", "one state", "one hidden layer")]
-KINDS = [*UNROLLED, "DMD", "EDMD, bilinear", "control-augmented", "one point", "control-augmented without delays"]
+    "EDMD, lifted anew")]
+SMALLEST = [pytest.param(kind, marks=pytest.mark.slow) for kind in ("one state", "one hidden layer")]
+KINDS = [*UNROLLED, *SMALLEST, "DMD", "EDMD, bilinear", "control-augmented", "one point", "control-augmented without delays"]
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +59,7 @@ def test_a_stored_torch_program_carries_the_card(exported, tmp_path):
     assert json.loads(files["card.json"]) == loaded.card
 
 
-@pytest.mark.parametrize("kind", [*UNROLLED[:-2], "DMD", "EDMD, bilinear", "control-augmented"])
+@pytest.mark.parametrize("kind", [*UNROLLED, "DMD", "EDMD, bilinear", "control-augmented"])
 def test_an_onnx_graph_computes_what_the_tables_compute_and_is_double_everywhere(kind, exported, tmp_path):
     onnx = pytest.importorskip("onnx", reason="the extra onnx is not installed")
     pytest.importorskip("onnxscript", reason="the extra onnx is not installed")

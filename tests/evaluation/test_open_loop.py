@@ -85,6 +85,7 @@ def test_constant_velocity_is_exact_on_a_straight_line():
     assert max(part.errors.max() for part in score.horizons) < 1e-12
 
 
+@pytest.mark.slow
 def test_the_order_of_the_trajectories_does_not_change_an_error_and_a_block_holds_any_batch(monkeypatch):
     rng = np.random.default_rng(2)
     runs = [run(np.cumsum(rng.normal(size=(150 + 10 * i, 1)), axis=0), rng.normal(size=(150 + 10 * i, 1)))

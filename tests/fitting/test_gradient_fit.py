@@ -132,6 +132,7 @@ def test_the_loss_is_one_at_its_start_and_every_step_ahead_counts_alike():
         assert float(fit.training_step(alone, 0).detach()) == pytest.approx(1 / 20, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_fit_stops_when_nothing_better_comes(known, tmp_path):
     model = NeuralODE(2, 2, 4, 0, width=4)
     run(LeastSquaresFit(NeuralODEStart(model), 1e-8), known.dataset(), tmp_path)
