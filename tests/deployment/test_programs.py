@@ -16,7 +16,8 @@ UNROLLED = [pytest.param(kind, marks=pytest.mark.slow) for kind in (
     "TPWL", "TPWL, blended", "neural ODE", "SSSR", "SSMR, constant input matrix", "SSMR, quadratic control field",
     "EDMD, lifted anew")]
 SMALLEST = [pytest.param(kind, marks=pytest.mark.slow) for kind in ("one state", "one hidden layer")]
-KINDS = [*UNROLLED, *SMALLEST, "DMD", "EDMD, bilinear", "control-augmented", "one point", "control-augmented without delays"]
+KINDS = [*UNROLLED, *SMALLEST, "DMD", "EDMD, bilinear", "control-augmented", "one point",
+         "control-augmented without delays"]
 
 
 @pytest.fixture(scope="module")
