@@ -1,0 +1,113 @@
+"""Configurations of the entry points as Hydra composes them; the only file of the package that knows Hydra.
+
+A YAML file holds what differs from the code. `register` makes Hydra fill each mapping that has a `_target_` with the
+defaults of what it names as it loads a file, so that all are shown by --cfg job, can be changed on the command line, and
+a misspelled one is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+
+from hydra import compose, initialize_config_dir
+from hydra._internal.core_plugins import file_config_source
+from hydra._internal.sources_registry import SourcesRegistry
+from hydra.core.global_hydra import GlobalHydra
+from hydra.plugins.config_source import ConfigResult
+from omegaconf import DictConfig, ListConfig, OmegaConf
+
+from ssmr_torch.defaults import is_library, keyword_defaults
+
+HERE = Path(__file__).resolve().parent
+SOURCE = "file"
+
+
+class FileConfigSource(file_config_source.FileConfigSource):
+    """Files of a folder, each with the defaults of what it names; of Hydra's own name, which it takes the place of."""
+
+    def load_config(self, config_path: str) -> ConfigResult:
+        result = super().load_config(config_path)
+        fill(result.config)
+        return result
+
+
+def register() -> None:
+    """Let Hydra read folders through `FileConfigSource`, and know the resolvers that conf/ uses. May be repeated."""
+    OmegaConf.register_new_resolver("upper", str.upper, replace=True)
+    SourcesRegistry.instance().types[SOURCE] = FileConfigSource
+
+
+def folder() -> Path:
+    """The folder of configurations: that of the installed package, in a checkout the one beside it."""
+    try:
+        spec = find_spec("ssmr_torch.conf")
+    except ImportError:
+        spec = None
+    installed = [Path(place) for place in (spec.submodule_search_locations or [])] if spec else []
+    for place in (*installed, HERE.parent / "conf"):
+        if (place / "train.yaml").is_file():
+            return place
+    raise FileNotFoundError(f"no configurations beside {HERE}; install ssmr_torch again")
+
+
+def composed(entry: str, overrides: Sequence[str] = (), *, hydra: bool = False) -> DictConfig:
+    """conf/ENTRY.yaml as the command line composes it with these overrides; hydra: with Hydra's own settings as well.
+
+    Raises Hydra's ConfigCompositionException for overrides that the configuration does not have.
+    """
+    register()
+    with _left_as_found(), initialize_config_dir(str(folder()), version_base="1.3"):
+        return compose(entry, list(overrides), return_hydra_config=hydra)
+
+
+@contextmanager
+def _left_as_found() -> Iterator[None]:
+    """Whatever Hydra is in the middle of, as when a job composes the configuration of another one."""
+    running = GlobalHydra.instance().hydra
+    GlobalHydra.instance().clear()
+    try:
+        yield
+    finally:
+        GlobalHydra.instance().hydra = running
+
+
+def fill(config: DictConfig | ListConfig) -> None:
+    """Add to each mapping with a `_target_`, at any depth, the defaults that it does not set.
+
+    What the defaults list of a file puts into a mapping is set there.
+    """
+    listed = _listed(config)
+    _fill(config, listed if isinstance(config, DictConfig) and "_target_" in config else frozenset())
+
+
+def _fill(node, listed: frozenset[str] = frozenset()) -> None:
+    if not isinstance(node, (DictConfig, ListConfig)) or node._is_none() or node._is_missing() \
+            or node._is_interpolation():
+        return
+    inner = range(len(node)) if isinstance(node, ListConfig) else list(node)
+    for key in inner:
+        _fill(node._get_node(key))
+    target = node._get_node("_target_") if isinstance(node, DictConfig) else None
+    if target is None or target._is_interpolation() or target._is_missing() or not isinstance(target._value(), str):
+        return
+    for name, default in defaults_of(target._value()).items():
+        if name not in node and name not in listed:
+            node[name] = default
+
+
+@cache
+def defaults_of(target: str) -> dict:
+    """`keyword_defaults` of a target, none of a library's: Lightning's trainer stays as short as its YAML."""
+    return {} if is_library(target.partition(".")[0]) else keyword_defaults(target)
+
+
+def _listed(config) -> frozenset[str]:
+    """Keys that the defaults list of a file fills: `observer` of `/observer@observer: none`."""
+    if not isinstance(config, DictConfig) or "defaults" not in config:
+        return frozenset()
+    entries = [key for entry in config.defaults if isinstance(entry, DictConfig) for key in entry]
+    return frozenset(str(key).rpartition("@")[2].rpartition("/")[2].partition(".")[0] for key in entries)

@@ -1,0 +1,32 @@
+"""What a callable takes by keyword where it hands keywords on: its signature shows the names and their defaults."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from inspect import Parameter, signature
+
+
+def configurable(source=None, *, given: tuple[str, ...] = ()) -> Callable:
+    """Decorate a callable whose `**rest` goes to `source`: its signature names what `source` takes, with the defaults.
+
+    source: a class or function, whose own defaults hold; or an instance of a dataclass, whose values are the defaults.
+    given: parameters that a program gives, and no configuration (`ssmr_torch.configuration` reads both).
+    """
+    def decorate(function):
+        if source is not None:
+            own = signature(function)
+            kept = [p for p in own.parameters.values() if p.kind is not Parameter.VAR_KEYWORD]
+            passed = [p.replace(kind=Parameter.KEYWORD_ONLY) for p in _taken(source) if p.name not in own.parameters]
+            function.__signature__ = own.replace(parameters=kept + passed)
+        return function
+
+    return decorate
+
+
+def _taken(source) -> list[Parameter]:
+    if callable(source):
+        return [p for p in signature(source).parameters.values()
+                if p.kind in (Parameter.KEYWORD_ONLY, Parameter.POSITIONAL_OR_KEYWORD) and p.default is not p.empty]
+    return [Parameter(f.name, Parameter.KEYWORD_ONLY, default=getattr(source, f.name), annotation=f.type)
+            for f in fields(source)]
