@@ -1,0 +1,1 @@
+"""The configurations: groups of Hydra, one folder each."""

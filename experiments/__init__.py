@@ -1,0 +1,1 @@
+"""The entry points, each a Hydra application: `ssmr NAME` is `python experiments/NAME.py`."""
