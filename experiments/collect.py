@@ -1,15 +1,19 @@
-"""Plant → trajectories: python experiments/collect.py plant=slow_manifold excitation.decays=40"""
+"""Plant → trajectories.h5, in parallel; the same command in the same directory goes on after a kill.
 
-from entry import entry_point
+ssmr collect plant=slow_manifold excitation.decays.count=40
+"""
+
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from ssmr_torch.data.recorded import COMPLETE, discard_recorded
-from ssmr_torch.provenance import provenance
+from ssmr_torch.experiments.entry import entry_point
 
 
 @entry_point("collect")
 def main(config, directory):
+    from ssmr_torch.data.recorded import COMPLETE, discard_recorded
+    from ssmr_torch.provenance import provenance
+
     plant = instantiate(config.rig)(instantiate(config.plant))
     dataset = instantiate(config.excitation)(plant, directory=directory, workers=config.workers)
     path = directory / COMPLETE

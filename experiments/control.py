@@ -1,24 +1,23 @@
-"""Artifact in closed loop with a plant: python experiments/control.py artifact=DIR; sweeps with -m artifact=A,B"""
+"""Artifact in closed loop with a plant → record.h5, metrics, pictures.
+
+ssmr control artifact=DIR task=figure_eight; sweeps with ssmr control -m artifact=A,B
+"""
 
 from contextlib import nullcontext
 
-from entry import entry_point, save_json, save_result
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from ssmr_torch import artifact
-from ssmr_torch.closed_loop import simulate
-from ssmr_torch.control.tightening import prediction_margins
-from ssmr_torch.evaluation.deformation import draw_robot
-from ssmr_torch.evaluation.metrics import closed_loop_metrics
-from ssmr_torch.provenance import provenance
-from ssmr_torch.trajectory import TrajectoryDataset
+from ssmr_torch.experiments.entry import entry_point, save_json, save_result
 
 
 def margins(config, loaded, task) -> dict:
     """What the model missed on the held-out runs of config.residuals, or on all where none is marked test."""
     if config.residuals is None:
         return {}
+    from ssmr_torch.control.tightening import prediction_margins
+    from ssmr_torch.trajectory import TrajectoryDataset
+
     if config.controller.get("margins", ()) is not None:
         raise ValueError("residuals=FILE.h5 sets the margins of a predictive controller; use controller=scp, and leave "
                          "controller.margins null")
@@ -41,6 +40,11 @@ def bench(config, loaded):
 
 @entry_point("control")
 def main(config, directory):
+    from ssmr_torch import artifact
+    from ssmr_torch.closed_loop import simulate
+    from ssmr_torch.evaluation.metrics import closed_loop_metrics
+    from ssmr_torch.provenance import provenance
+
     loaded, task = artifact.load(config.artifact), instantiate(config.task)
     plant = bench(config, loaded)
     artifact.check_source(loaded, plant)
@@ -53,6 +57,8 @@ def main(config, directory):
                           progress=config.progress, provenance=origin | {"input_bounds": plant.input_bounds.tolist()})
     record.save(directory / "record.h5")
     if config.picture:
+        from ssmr_torch.evaluation.deformation import draw_robot
+
         draw_robot(plant, record, directory, config.animate, task.obstacles)
     metrics = closed_loop_metrics(record, task.obstacles)
     save_json(directory / "metrics.json", metrics)

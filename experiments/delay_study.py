@@ -1,30 +1,35 @@
-"""Delays and the manifold under control (Fig. 3): python experiments/delay_study.py data.path=FILE record=record.h5"""
+"""Decays and a controlled run → how well manifolds of several delays reconstruct the run (the paper's Fig. 3).
 
-from entry import entry_point, save_json
+ssmr delay-study data.path=FILE.h5 record=record.h5
+"""
+
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from ssmr_torch.closed_loop import ClosedLoopRecord
-from ssmr_torch.evaluation import figures, study_figures
-from ssmr_torch.evaluation.delay_study import format_reconstruction, reconstruction_study
-from ssmr_torch.provenance import provenance
-from ssmr_torch.trajectory import Trajectory
+from ssmr_torch.experiments.entry import entry_point, save_json
 
 
 def controlled_run(config, dataset):
     """The record of a closed loop, or the longest controlled test run."""
+    from ssmr_torch.closed_loop import ClosedLoopRecord
+    from ssmr_torch.trajectory import Trajectory
+
     if config.record is not None:
         record = ClosedLoopRecord.load(config.record)
         columns = [record.output_names.index(name) for name in dataset.output_names]
         return Trajectory(record.time, record.observation[:, columns], record.input)
     runs = dataset.select("test", "controlled")
     if not runs:
-        raise ValueError("the data hold no controlled test run; give record=FILE.h5 of experiments/control.py")
+        raise ValueError("the data hold no controlled test run; give record=FILE.h5 of ssmr control")
     return max(runs, key=lambda run: run.length).read()
 
 
 @entry_point("delay_study")
 def main(config, directory):
+    from ssmr_torch.evaluation import figures, study_figures
+    from ssmr_torch.evaluation.delay_study import format_reconstruction, reconstruction_study
+    from ssmr_torch.provenance import provenance
+
     dataset = instantiate(config.data).observing(config.outputs)
     decays = dataset.select("train", "decay")
     run = controlled_run(config, dataset)

@@ -5,6 +5,7 @@ import functools
 import json
 import logging
 import os
+import sys
 import warnings
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.types import RunMode
 from omegaconf import OmegaConf
+
+from ssmr_torch.extras import remedy
 
 OmegaConf.register_new_resolver("upper", str.upper, replace=True)
 
@@ -29,6 +32,8 @@ def entry_point(name: str):
     def decorate(function):
         @functools.wraps(function)
         def task(config):
+            if os.getcwd() not in sys.path:
+                sys.path.append(os.getcwd())  # where the classes that a configuration of one's own names may lie
             quiet()
             keep_memory()
             directory = Path(HydraConfig.get().runtime.output_dir)
@@ -36,10 +41,11 @@ def entry_point(name: str):
                 return function(config, directory)
             except Exception as error:
                 cause = error.__cause__ or error if isinstance(error, InstantiationException) else error
-                expected = isinstance(cause, (ValueError, OSError)) or type(cause).__name__ in THEIRS
+                missing = remedy(error)
+                expected = missing or isinstance(cause, (ValueError, OSError)) or type(cause).__name__ in THEIRS
                 if not expected and HydraConfig.get().mode != RunMode.MULTIRUN:
                     raise
-                what = str(cause) if expected else f"{type(cause).__name__}: {cause}"
+                what = missing or (str(cause) if expected else f"{type(cause).__name__}: {cause}")
                 return refuse(f"{name}: {what}", directory, error, expected)
 
         return hydra.main(version_base="1.3", config_path=CONF, config_name=name)(task)

@@ -1,19 +1,23 @@
-"""Artifacts on trajectories: python experiments/evaluate.py artifact=[DIR,DIR] data.path=FILE.h5"""
+"""Artifacts on trajectories → open-loop scores, table and figures.
 
-from entry import entry_point, save_json, save_result
+ssmr evaluate artifact=[DIR,DIR] data.path=FILE.h5
+"""
+
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from ssmr_torch import artifact
-from ssmr_torch.evaluation import figures
-from ssmr_torch.evaluation.comparison import comparison_table
-from ssmr_torch.evaluation.open_loop import compare_open_loop, format_table
-from ssmr_torch.evaluation.sections import prediction_figures
-from ssmr_torch.provenance import provenance
+from ssmr_torch.experiments.entry import entry_point, save_json, save_result
 
 
 @entry_point("evaluate")
 def main(config, directory):
+    from ssmr_torch import artifact
+    from ssmr_torch.evaluation import figures
+    from ssmr_torch.evaluation.comparison import comparison_table
+    from ssmr_torch.evaluation.open_loop import compare_open_loop, format_table
+    from ssmr_torch.evaluation.sections import prediction_figures
+    from ssmr_torch.provenance import provenance
+
     paths = [config.artifact] if isinstance(config.artifact, str) else list(config.artifact)
     loaded = [artifact.load(path) for path in paths]
     models = artifact.by_name(loaded)

@@ -1,21 +1,19 @@
-"""Checkpoint → artifact: python experiments/export.py checkpoint=FILE.ckpt; also mat=FILE.mat of a published model.
+"""Checkpoint, or a published .mat model → artifact, and its deployable forms in C, for Torch, as ONNX.
 
-Deployable forms, in C, for Torch, as ONNX: formats=[c,torch,onnx]; of an existing artifact: artifact=DIR formats=[c]
+ssmr export checkpoint=FILE.ckpt formats=[c]; of an existing artifact: ssmr export artifact=DIR formats=[c]
 """
 
 from pathlib import Path
 
-from entry import entry_point
-
-from ssmr_torch import artifact
-from ssmr_torch.deployment.deploy import deploy
-from ssmr_torch.fitting.training import load_model
-from ssmr_torch.provenance import fingerprint, provenance
-from ssmr_torch.published_models import read_published_model
+from ssmr_torch.experiments.entry import entry_point
 
 
 @entry_point("export")
 def main(config, directory):
+    from ssmr_torch import artifact
+    from ssmr_torch.deployment.deploy import deploy
+    from ssmr_torch.provenance import fingerprint, provenance
+
     path, forms = Path(config.artifact), []
     formats = [config.formats] if isinstance(config.formats, str) else list(config.formats or [])
     given = [source for source in (config.checkpoint, config.mat) if source is not None]
@@ -39,8 +37,12 @@ def main(config, directory):
 def model_of(config):
     """The tables of a checkpoint or a published model, and what an artifact's card says of it."""
     if config.mat is None:
+        from ssmr_torch.fitting.training import load_model
+
         model, card = load_model(config.checkpoint)
         return model.tables(), card
+    from ssmr_torch.published_models import read_published_model
+
     return read_published_model(
         config.mat, output_names=config.output_names, input_names=config.input_names, rest=config.rest,
         length_unit=config.length_unit, input_unit=config.input_unit, state_scale=config.state_scale)

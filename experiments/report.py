@@ -1,14 +1,17 @@
-"""Everything below one directory → report.html: python experiments/report.py directory=outputs/…"""
+"""Everything below one directory → report.html there.
 
-from entry import entry_point
+ssmr report directory=outputs/run
+"""
 
-from ssmr_torch.evaluation.report import write_report
-from ssmr_torch.evaluation.sections import collect_sections
-from ssmr_torch.provenance import provenance
+from ssmr_torch.experiments.entry import entry_point
 
 
 @entry_point("report")
 def main(config, directory):
+    from ssmr_torch.evaluation.report import write_report
+    from ssmr_torch.evaluation.sections import collect_sections
+    from ssmr_torch.provenance import provenance
+
     sections = collect_sections(config.directory)
     origin = {name: str(value) for name, value in provenance().items()}
     print(f"report: {write_report(config.directory, config.title, sections, origin)}")

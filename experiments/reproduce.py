@@ -1,4 +1,6 @@
-"""Everything of the paper, from data to report: python experiments/reproduce.py preset=quick; it goes on where it was.
+"""Everything of the paper, from data to report; the same command goes on where it was.
+
+ssmr reproduce preset=quick
 
 Jobs run as a multirun of this file, so that a launcher of Hydra spreads them: launcher=joblib, basic, submitit or ray.
 """
@@ -21,7 +23,6 @@ from inspect import unwrap
 from pathlib import Path
 
 import h5py
-from entry import CONF, entry_point, save_json
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
@@ -30,6 +31,7 @@ from omegaconf import OmegaConf, open_dict, read_write
 from tqdm import tqdm
 
 from ssmr_torch import artifact
+from ssmr_torch.experiments.entry import CONF, entry_point, save_json
 from ssmr_torch.provenance import provenance
 from ssmr_torch.reproduction.gather import MODEL_COLUMNS, RUN_COLUMNS, model_row, note_of, run_row
 from ssmr_torch.reproduction.open_loop import map_open_loop
@@ -233,7 +235,7 @@ def follow(step: dict, job: dict, root: Path, directory: Path) -> None:
             open_loop(config, directory, {Path(need).name: root / need / "artifact" for need in job["needs"]
                                           if need.startswith("models/")}, Path(job["name"]).name)
         else:
-            unwrap(import_module(step["entry"]).main)(config, directory)
+            unwrap(import_module(f"ssmr_torch.experiments.{step['entry']}").main)(config, directory)
 
 
 @contextmanager

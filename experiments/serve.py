@@ -1,21 +1,25 @@
-"""Controller for a robot elsewhere (docs/wire.md): python experiments/serve.py artifact=DIR task=figure_eight"""
+"""Artifact as a controller that waits for a robot elsewhere (docs/wire.md) → record.h5, settings.json.
 
-from entry import entry_point, save_json, save_result
+ssmr serve artifact=DIR task=figure_eight
+"""
+
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from ssmr_torch import artifact
-from ssmr_torch.evaluation.metrics import closed_loop_metrics
-from ssmr_torch.provenance import provenance
-from ssmr_torch.runner import controller_for, prepare
-from ssmr_torch.wire.controller_end import ControllerEnd
-from ssmr_torch.wire.link import ControllerLink
-from ssmr_torch.wire.record import record_of
-from ssmr_torch.wire.serving import serve
+from ssmr_torch.experiments.entry import entry_point, save_json, save_result
 
 
 @entry_point("serve")
 def main(config, directory):
+    from ssmr_torch import artifact
+    from ssmr_torch.evaluation.metrics import closed_loop_metrics
+    from ssmr_torch.provenance import provenance
+    from ssmr_torch.runner import controller_for, prepare
+    from ssmr_torch.wire.controller_end import ControllerEnd
+    from ssmr_torch.wire.link import ControllerLink
+    from ssmr_torch.wire.record import record_of
+    from ssmr_torch.wire.serving import serve
+
     loaded, task = artifact.load(config.artifact), instantiate(config.task)
     plain = OmegaConf.to_container(config, resolve=True)
     save_json(directory / "settings.json", {part: plain[part] for part in ("controller", "task")})

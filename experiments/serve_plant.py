@@ -1,14 +1,18 @@
-"""Plant for a controller elsewhere (docs/wire.md): python experiments/serve_plant.py plant=trunk connect=tcp://HOST:5555"""
+"""Plant as a robot that looks for a controller elsewhere (docs/wire.md).
 
-from entry import entry_point, save_result
+ssmr serve-plant plant=trunk connect=tcp://HOST:5555
+"""
+
 from hydra.utils import instantiate
 
-from ssmr_torch.wire.link import RobotLink
-from ssmr_torch.wire.robot_end import RobotEnd
+from ssmr_torch.experiments.entry import entry_point, save_result
 
 
 @entry_point("serve_plant")
 def main(config, directory):
+    from ssmr_torch.wire.link import RobotLink
+    from ssmr_torch.wire.robot_end import RobotEnd
+
     plant = instantiate(config.rig)(instantiate(config.plant))
     with RobotLink(config.connect) as link:
         robot = RobotEnd(plant, link, real_time=config.real_time, timeout=config.timeout, patience=config.patience,

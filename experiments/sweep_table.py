@@ -4,13 +4,11 @@ import csv
 import json
 from pathlib import Path
 
-from entry import CONF
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
 from omegaconf import OmegaConf
 
-from ssmr_torch.evaluation import figures, study_figures
-from ssmr_torch.evaluation.study import study_rows
+from ssmr_torch.experiments.entry import CONF
 
 TUNED = ("model", "fit", "derivative")
 
@@ -37,7 +35,7 @@ class SweepTable(Callback):
         if choices.get("study"):
             draw_study(directory, config.study)
         elif any("parameters" in row for row in rows):
-            figures.save(study_figures.ranking(rows, first), directory / "sweep.svg")
+            draw_ranking(directory, rows, first)
         searched = {"sweep": save_best, "tuning": save_controller}
         for kind, save_settings in searched.items():
             if choices.get(kind) and isinstance(rows[0].get(first), float):  # else every job failed
@@ -58,8 +56,18 @@ def gather(directory: Path) -> list[dict]:
              **result["metrics"], **result.get("cost", {})} for result in results(directory)]
 
 
+def draw_ranking(directory: Path, rows: list[dict], first: str) -> None:
+    # imported here: every run has this callback, and only the end of a sweep draws
+    from ssmr_torch.evaluation import figures, study_figures
+
+    figures.save(study_figures.ranking(rows, first), directory / "sweep.svg")
+
+
 def draw_study(directory: Path, study) -> None:
     """study.csv and study.svg: the scores over the varied override, or over what was measured of every record."""
+    from ssmr_torch.evaluation import figures, study_figures
+    from ssmr_torch.evaluation.study import study_rows
+
     rows = study_rows(results(directory), study.axis)
     if rows:
         save(directory / "study.csv", rows, list(rows[0]))

@@ -1,18 +1,13 @@
-"""Trajectories → model: python experiments/train.py data.path=FILE.h5 model=ssmr; sweeps with -m model=ssmr,sssr"""
+"""Trajectories → model.ckpt, report, figures; a sweep ends with a table, best first.
 
-import lightning
-from entry import entry_point, save_json, save_result
+ssmr train data.path=FILE.h5 model=ssmr; sweeps with ssmr train -m data.path=FILE.h5 model=ssmr,sssr
+"""
+
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
-from lightning.pytorch.utilities import rank_zero_only
 from omegaconf import OmegaConf
 
-from ssmr_torch.evaluation import figures
-from ssmr_torch.evaluation.sections import training_figures
-from ssmr_torch.evaluation.study import score_runs
-from ssmr_torch.fitting.training import train
-from ssmr_torch.provenance import provenance
-from ssmr_torch.trajectory import TrajectoryDataset
+from ssmr_torch.experiments.entry import entry_point, save_json, save_result
 
 
 def objective(config, scores):
@@ -25,12 +20,29 @@ def objective(config, scores):
 
 def further_runs(config, dataset):
     """The controlled runs of the file that a study is to be scored on, run by run; none without."""
+    from ssmr_torch.trajectory import TrajectoryDataset
+
     path = OmegaConf.select(config, "study.runs", throw_on_missing=True)
     return TrajectoryDataset.load(path).observing(dataset.output_names).select(kind="controlled") if path else ()
 
 
+def draw(report, eigenvalues, directory):
+    from ssmr_torch.evaluation import figures
+    from ssmr_torch.evaluation.sections import training_figures
+
+    for name, figure in training_figures(report, eigenvalues).items():
+        figures.save(figure, directory / f"{name}.svg")
+
+
 @entry_point("train")
 def main(config, directory):
+    import lightning
+    from lightning.pytorch.utilities import rank_zero_only
+
+    from ssmr_torch.evaluation.study import score_runs
+    from ssmr_torch.fitting.training import train
+    from ssmr_torch.provenance import provenance
+
     if config.metric.startswith("test/"):
         raise ValueError(f"metric is {config.metric!r}; models are chosen by validation, never by the test runs")
     lightning.seed_everything(config.seed, workers=True, verbose=False)
@@ -54,9 +66,8 @@ def main(config, directory):
             getattr(logger.experiment, "finish", lambda: None)()
     found = {"scores": training.scores, "cost": training.cost, "provenance": origin}
     save_json(directory / "report.json", training.report | found)
-    drawn = training_figures(training.report, dataset.provenance.get("eigenvalues")) if config.figures else {}
-    for name, figure in drawn.items():
-        figures.save(figure, directory / f"{name}.svg")
+    if config.figures:
+        draw(training.report, dataset.provenance.get("eigenvalues"), directory)
     print(training.summary())
     score = objective(config, training.scores)
     runs = score_runs(config.name, training.model, further, dataset.select("train", "controlled"),

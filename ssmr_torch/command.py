@@ -1,0 +1,87 @@
+"""The command: `ssmr NAME …` is `python experiments/NAME.py …`, from the checkout and from the wheel alike.
+
+Here nothing heavy is imported: help, version and refusals come at once, Hydra only with an entry point.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import os
+import sys
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+from ssmr_torch import __version__
+from ssmr_torch.extras import remedy
+
+COMMANDS = ("collect", "train", "export", "evaluate", "control", "serve", "serve-plant", "report", "delay-study",
+            "reproduce")
+COMPLETION = ("-sc", "--shell-completion")  # as Hydra has it
+
+
+def main() -> int | None:
+    """The command line; returns the exit status, or what the entry point returns. Bad input ends in one message."""
+    arguments = sys.argv[1:]
+    first = arguments[0] if arguments else "--help"
+    if first in ("-h", "--help"):
+        print(usage())
+        return 0
+    if first == "--version":
+        print(f"ssmr_torch {__version__}")
+        return 0
+    if first in COMPLETION:
+        return complete(arguments)
+    if first.replace("_", "-") not in COMMANDS:
+        near = difflib.get_close_matches(first, COMMANDS, n=1)
+        print(f"ssmr: there is no command {first!r}{f'; did you mean {near[0]}?' if near else ''}\n"
+              f"the commands are {', '.join(COMMANDS)}; ssmr --help says what they do", file=sys.stderr)
+        return 2
+    return start(first, arguments[1:])
+
+
+def start(command: str, arguments: list[str], program: str | None = None) -> int | None:
+    """Run an entry point with these arguments, under the name of its script, with which it can start itself again."""
+    sys.argv = [program or str(script(command)), *arguments]
+    try:
+        entry = import_module(f"ssmr_torch.experiments.{script(command).stem}").main
+    except ModuleNotFoundError as error:
+        if remedy(error) is None:
+            raise
+        print(f"ssmr {command}: {remedy(error)}", file=sys.stderr)
+        return 1
+    entry()
+    return 0
+
+
+def script(command: str) -> Path:
+    folder = find_spec("ssmr_torch.experiments").submodule_search_locations[0]
+    return Path(folder, f"{command.replace('-', '_')}.py")
+
+
+def usage() -> str:
+    """What `ssmr --help` prints: every command with the first sentence of its script."""
+    said = {name: ast.get_docstring(ast.parse(script(name).read_text())).splitlines()[0] for name in COMMANDS}
+    width = max(map(len, said))
+    return "\n".join([
+        "ssmr COMMAND [key=value …]: learn the dominant dynamics of a robot from trajectories, and control it", "",
+        *(f"  {name:<{width}}  {sentence}" for name, sentence in said.items()), "",
+        "ssmr COMMAND --help       the options of a command; --cfg job shows its configuration",
+        "ssmr COMMAND --config-dir DIR …   groups of configuration of your own, beside those of the package",
+        "eval \"$(ssmr -sc install=bash)\"    completion of commands and options in this shell; also zsh, fish",
+        "ssmr --version"])
+
+
+def complete(arguments: list[str]) -> int | None:
+    """Hydra's shell completion: the shell asks with the line so far in COMP_LINE, of which the command is the start."""
+    _, *words = os.environ.get("COMP_LINE", "").split(" ")
+    if not any(argument.startswith("query=") for argument in arguments):
+        return start(COMMANDS[0], arguments, program="ssmr")
+    if len(words) < 2:
+        print("\n".join(COMMANDS) if "query=fish" in arguments else " ".join(COMMANDS))
+        return 0
+    if words[0].replace("_", "-") not in COMMANDS:
+        return 0
+    os.environ["COMP_LINE"] = " ".join(["ssmr", *words[1:]])
+    return start(words[0], arguments, program="ssmr")
