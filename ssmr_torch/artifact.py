@@ -90,7 +90,7 @@ def load(directory: str | Path) -> Artifact:
     """
     directory = Path(directory)
     if not (directory / "card.json").is_file():
-        raise FileNotFoundError(f"no artifact at {directory} (no card.json); make one with experiments/export.py")
+        raise FileNotFoundError(f"no artifact at {directory} (no card.json); make one with ssmr export")
     try:
         card = json.loads((directory / "card.json").read_text())
     except json.JSONDecodeError as error:

@@ -1,7 +1,7 @@
 """Serve a controller over the wire without Torch, Hydra or SciPy: python -m ssmr_torch.runner ARTIFACT --settings FILE
 
 The settings are JSON: `controller` and `task`, each with the class or function under `_target_` and its arguments, as
-experiments/serve.py writes them to settings.json. Needs numpy, numba, safetensors, proxsuite and pyzmq.
+ssmr serve writes them to settings.json. Needs numpy, numba, safetensors, proxsuite and pyzmq.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def _serve(options) -> None:
     from ssmr_torch.wire.serving import serve
 
     if options.artifact is None:
-        raise ValueError("give the directory of an artifact, such as one of experiments/export.py")
+        raise ValueError("give the directory of an artifact, such as one of ssmr export")
     loaded, settings = artifact.load(options.artifact), _settings(options.settings)
     task = build(settings["task"])
     make = controller_for(loaded, lambda model, bounds, **more: build(settings["controller"], model, task, bounds,

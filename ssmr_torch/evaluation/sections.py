@@ -86,7 +86,7 @@ def collect_sections(directory: str | Path) -> list[Section]:
     sections += [training_section(path) for path in sorted(directory.rglob("report.json"))]
     if not sections:
         raise ValueError(f"nothing to report below {directory}: no record.h5, scores.json or report.json; "
-                         "run train.py, evaluate.py or control.py with hydra.run.dir below it")
+                         "run ssmr train, evaluate or control with hydra.run.dir below it")
     return sections
 
 

@@ -30,12 +30,12 @@ def load_model(checkpoint: str | Path) -> tuple[ReducedModel, dict]:
     Raises FileNotFoundError, or ValueError for a checkpoint of something else.
     """
     if not Path(checkpoint).is_file():
-        raise FileNotFoundError(f"no checkpoint at {checkpoint}; train.py prints the path of the one it writes")
+        raise FileNotFoundError(f"no checkpoint at {checkpoint}; ssmr train prints the path of the one it writes")
     try:
         stored = torch.load(checkpoint, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises what its unpickler meets, and advises to load unsafely
         raise ValueError(f"{checkpoint} is not a checkpoint of plain values; expected one written by "
-                         "experiments/train.py") from error
+                         "ssmr train") from error
     try:
         module, _, name = stored["model"]["class"].rpartition(".")
         if not module.startswith("ssmr_torch.models."):
@@ -46,7 +46,7 @@ def load_model(checkpoint: str | Path) -> tuple[ReducedModel, dict]:
         return model, stored["card"]
     except (LookupError, TypeError, ValueError, RuntimeError, ImportError, AttributeError) as error:
         raise ValueError(f"{checkpoint} holds no model of this package ({error}); expected one written by "
-                         "experiments/train.py") from error
+                         "ssmr train") from error
 
 
 def check_resumable(directory: Path, steps: tuple[str, ...], origin: dict) -> None:

@@ -18,8 +18,8 @@ from ssmr_torch.wire.stream import MeasurementStream, Place
 log = logging.getLogger(__name__)
 
 
-class RemotePlant:
-    """A robot that connects to this address, such as one of experiments/serve_plant.py or of one's own (docs/wire.md).
+class RemotePlant(PlantSheet):
+    """A robot that connects to this address, such as one of ssmr serve-plant or of one's own (docs/wire.md).
 
     bind: address to wait at; the robot's names, timestep, rest and bounds are those of its HELLO.
     wait: s to wait for it.   deadline, timeout, patience: as of `wire.controller_end.ControllerEnd`.
@@ -100,7 +100,7 @@ class RemotePlant:
             # A robot in a run of a driver that is gone: this makes it say HELLO.
             self._link.send(self._sender, Message(Kind.END, message.run, status=Code.OTHER, text="no such run"))
         self._link.close()
-        raise TimeoutError(f"no robot came to {self.bind} within {self.wait:g} s; start experiments/serve_plant.py "
+        raise TimeoutError(f"no robot came to {self.bind} within {self.wait:g} s; start ssmr serve-plant "
                            "with connect=tcp://THIS_MACHINE:PORT, and check the address")
 
     def _card_of(self, message: Message) -> RobotCard:

@@ -85,8 +85,8 @@ class RobotEnd:
             if self.real_time and self.clock() >= tick:
                 self.plant.step(self.safe_input)
                 tick = max(tick + self.card.timestep, self.clock())
-        raise TimeoutError(f"no controller answered within {wait:g} s; start experiments/serve.py, or "
-                           "experiments/control.py with plant=remote, and check the address")
+        raise TimeoutError(f"no controller answered within {wait:g} s; start ssmr serve, or "
+                           "ssmr control with plant=remote, and check the address")
 
     def _run_through(self) -> None:
         """One run, until _Over or _Started is raised."""
