@@ -14,13 +14,17 @@ import numpy as np
 from tqdm import tqdm
 
 from ssmr_torch import __version__
+from ssmr_torch import data_sheet as sheet
+from ssmr_torch.data_sheet import DataSheet
+from ssmr_torch.evaluation.metrics import SETTLING_TIME, max_tracking_error, tracking_rmse
 
 ARRAYS = ("time", "reference", "observation", "measurement", "input", "fallback", "solve_time", "iterations")
 FORMAT = "ssmr_torch closed loop 1"
+PATIENCE = 3.0  # s that a run may take before a bar shows how far it is
 
 
-@dataclass(frozen=True, eq=False)
-class ClosedLoopRecord:
+@dataclass(frozen=True, eq=False, repr=False)
+class ClosedLoopRecord(DataSheet):
     """One run in closed loop, T samples.
 
     time (T,) s; reference (T, q) m in the columns `tracked` of the outputs; observation (T, p) m, where the plant
@@ -57,6 +61,29 @@ class ClosedLoopRecord:
         """Observation minus reference in the tracked columns, (T, q) m."""
         return self.observation[:, list(self.tracked)] - self.reference
 
+    def data_sheet(self) -> tuple[str, dict]:
+        said, times = self.provenance, self.solve_time[np.isfinite(self.solve_time)]
+        name = f" of {said['task']!r}" if said.get("task") else ""
+        entries = {"tracked": f"{sheet.listed(self.output_names[column] for column in self.tracked)}; {self._errors()}",
+                   "samples": f"{len(self.time)}, {sheet.period(self.time[1] - self.time[0])}"}
+        if "period" in said:
+            entries["control"] = f"{said.get('controller', 'controller')}, {sheet.period(said['period'])}"
+        entries["fallbacks"] = f"{int(self.fallback.sum())} of {len(times)} decisions"
+        entries["inputs"] = sheet.spans(self.input_names, self.input.min(axis=0), self.input.max(axis=0),
+                                        sheet.unit_of(self.input_unit))
+        if "noise_std" in said:
+            entries["noise"] = f"{sheet.number(1e3 * said['noise_std'])} mm, seed {said['seed']}"
+        return f"ClosedLoopRecord{name}: {sheet.number(self.time[-1] - self.time[0])} s", entries | sheet.origin(said)
+
+    def _errors(self) -> str:
+        if not np.isfinite(self.error).all():
+            return "not finite to the end"
+        settling = SETTLING_TIME if self.time[-1] - self.time[0] > SETTLING_TIME else 0.0
+        measured = self.time, self.observation[:, list(self.tracked)], self.reference
+        rmse, largest = (sheet.number(1e3 * error(*measured, settling_time=settling))
+                         for error in (tracking_rmse, max_tracking_error))
+        return f"RMSE {rmse} mm, at most {largest} mm" + (f" after {settling:g} s" if settling else "")
+
     def save(self, path: str | Path) -> Path:
         """Write one HDF5 file; it appears only when it is complete."""
         path = Path(path)
@@ -78,7 +105,7 @@ class ClosedLoopRecord:
         """Read a file written by `save`. Raises FileNotFoundError, or ValueError for another kind of file."""
         path = Path(path)
         if not path.is_file():
-            raise FileNotFoundError(f"no closed-loop record at {path}; make one with experiments/control.py")
+            raise FileNotFoundError(f"no closed-loop record at {path}; make one with ssmr control")
         with h5py.File(path, "r") as file:
             card = json.loads(file.attrs.get("card", "{}"))
             if card.get("format") != FORMAT:
@@ -111,7 +138,7 @@ def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, 
     controller.reset()
     sample = np.array(plant.reset(seed), dtype=np.float64)
     truth, samples, commands, durations = [], [], [], []
-    for k in tqdm(range(len(time)), desc=task.name, disable=not progress):
+    for k in tqdm(range(len(time)), desc=task.name, disable=not progress, delay=PATIENCE):
         start = thread_time()
         command = controller(float(time[k]), sample + noise[k])
         durations.append(thread_time() - start)

@@ -1,7 +1,4 @@
-"""Measured or simulated trajectories, and their file.
-
-A trajectory is one uninterrupted, uniformly sampled run: a seam (a restart, a glued recording) is never inside.
-"""
+"""The measured or simulated trajectories of one robot, and their file."""
 
 from __future__ import annotations
 
@@ -15,63 +12,17 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-KINDS = ("decay", "controlled", "static")
-SPLITS = ("train", "validation", "test")
-JITTER_TOLERANCE = 1e-3
+from ssmr_torch import data_sheet as sheet
+from ssmr_torch.data_sheet import DataSheet
+from ssmr_torch.run import JITTER_TOLERANCE, KINDS, SPLITS, Run, Trajectory, own_copy
+
+__all__ = ["JITTER_TOLERANCE", "KINDS", "SPLITS", "StoredTrajectory", "Trajectory", "TrajectoryDataset"]
+
 FORMAT = "ssmr_torch trajectories 1"
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """One run of a robot.
-
-    time: (T,) s, strictly increasing, uniform within `JITTER_TOLERANCE` of its step.
-    observation: (T, p) displacement from the rest position, m.
-    input: (T, m); input[k] is held from time[k] to time[k+1], so observation[k] does not feel it yet.
-    Raises ValueError when the arrays disagree in length, hold non-finite numbers, or time is not uniform.
-    """
-
-    time: np.ndarray
-    observation: np.ndarray
-    input: np.ndarray
-    kind: str = "controlled"
-    split: str = "train"
-    name: str = ""
-
-    def __post_init__(self):
-        for attribute in ("time", "observation", "input"):
-            object.__setattr__(self, attribute, _own(getattr(self, attribute)))
-        _validate(self)
-
-    @property
-    def length(self) -> int:
-        return len(self.time)
-
-    @property
-    def timestep(self) -> float:
-        """Sampling time in s."""
-        return float((self.time[-1] - self.time[0]) / (self.length - 1))
-
-    def slice(self, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-        """Observations and inputs of the samples start ≤ k < stop."""
-        return self.observation[start:stop], self.input[start:stop]
-
-    def read(self) -> Trajectory:
-        return self
-
-    def observing(self, columns: Sequence[int]) -> Trajectory:
-        """The same run seen through these columns of the observation."""
-        return replace(self, observation=self.observation[:, list(columns)])
-
-    def part(self, start: int, stop: int | None = None, **changes) -> Trajectory:
-        """The samples start ≤ k < stop as a trajectory of their own, with other fields changed by name."""
-        kept = slice(start, stop)
-        return replace(self, time=self.time[kept], observation=self.observation[kept], input=self.input[kept],
-                       **changes)
-
-
-@dataclass(frozen=True)
-class StoredTrajectory:
+@dataclass(frozen=True, repr=False)
+class StoredTrajectory(Run):
     """A trajectory in an HDF5 file, read slice by slice: memory does not grow with its length."""
 
     path: Path
@@ -113,8 +64,8 @@ class StoredTrajectory:
                           self.kind, self.split, self.name)
 
 
-@dataclass(frozen=True, eq=False)
-class TrajectoryDataset(Sequence):
+@dataclass(frozen=True, eq=False, repr=False)
+class TrajectoryDataset(DataSheet, Sequence):
     """Trajectories of one robot, with what is needed to read them.
 
     rest: (p,) absolute position of the origin of `observation`, m.
@@ -122,6 +73,17 @@ class TrajectoryDataset(Sequence):
     provenance: plain JSON values (where the data came from, what the reader assumed).
     Raises ValueError when two trajectories differ in their numbers of columns, or in sampling time by more than
     `JITTER_TOLERANCE`.
+
+    >>> decay = Trajectory([0.0, 0.1, 0.2], [[0.003], [0.001], [0.0]], np.zeros((3, 1)), "decay", name="decay 1")
+    >>> TrajectoryDataset([decay], rest=[0.12], output_names=["tip_z"], input_names=["cable"])
+    TrajectoryDataset: 1 run, 3 samples, 0.1 s (10 Hz)
+    ├─ runs
+    │  └─ decay, train: 1 run, 3 samples
+    ├─ outputs: displacement from rest
+    │  └─ tip_z: 0 … 3 mm
+    ├─ inputs: held from sample to sample
+    │  └─ cable: 0 … 0 N
+    └─ rest: 120 mm
     """
 
     trajectories: tuple[Trajectory | StoredTrajectory, ...]
@@ -133,7 +95,7 @@ class TrajectoryDataset(Sequence):
 
     def __post_init__(self):
         object.__setattr__(self, "trajectories", tuple(self.trajectories))
-        object.__setattr__(self, "rest", _own(self.rest))
+        object.__setattr__(self, "rest", own_copy(self.rest))
         object.__setattr__(self, "output_names", tuple(self.output_names))
         object.__setattr__(self, "input_names", tuple(self.input_names))
         if not self.trajectories:
@@ -188,6 +150,25 @@ class TrajectoryDataset(Sequence):
         return replace(self, trajectories=tuple(t.observing(columns) for t in self.trajectories),
                        rest=self.rest[columns], output_names=tuple(names))
 
+    def extremes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest values of all runs: of the outputs (2, p), m, and of the inputs (2, m)."""
+        found = zip(*(run.extremes() for run in self.trajectories))
+        return tuple(np.stack([np.min([each[0] for each in of_runs], axis=0),
+                               np.max([each[1] for each in of_runs], axis=0)]) for of_runs in map(list, found))
+
+    def data_sheet(self) -> tuple[str, dict]:
+        uses: dict[str, list] = {}
+        for run in self.trajectories:
+            uses.setdefault(f"{run.kind}, {run.split}", []).append(run.length)
+        observation, inputs = self.extremes()
+        return f"TrajectoryDataset: {_counted([run.length for run in self])}, {sheet.period(self.timestep)}", {
+            "runs": {use: _counted(lengths) for use, lengths in uses.items()},
+            "outputs: displacement from rest": sheet.spans(self.output_names, *observation, "mm", 1e3),
+            "inputs: held from sample to sample": sheet.spans(self.input_names, *inputs,
+                                                              sheet.unit_of(self.input_unit)),
+            "rest": f"{sheet.listed(sheet.number(1e3 * x) for x in self.rest)} mm",
+        } | sheet.origin(self.provenance)
+
     def save(self, path: str | Path) -> Path:
         """Write all trajectories to one HDF5 file; the file appears only when it is complete."""
         path = Path(path)
@@ -219,9 +200,9 @@ class TrajectoryDataset(Sequence):
         """
         path = Path(path).resolve()
         if not path.is_file():
-            raise FileNotFoundError(f"no trajectory file at {path}; make one with experiments/collect.py")
+            raise FileNotFoundError(f"no trajectory file at {path}; make one with ssmr collect")
         if not h5py.is_hdf5(path):
-            raise ValueError(f"{path} is not an HDF5 file; expected one written by experiments/collect.py")
+            raise ValueError(f"{path} is not an HDF5 file; expected one written by ssmr collect")
         with h5py.File(path, "r") as file:
             if "card" not in file.attrs or "trajectories" not in file:
                 raise ValueError(f"{path} is not a trajectory file of this package (no card); "
@@ -238,11 +219,8 @@ class TrajectoryDataset(Sequence):
                    card["provenance"])
 
 
-def _own(array) -> np.ndarray:
-    """A read-only copy: what the caller does with the original later changes nothing here."""
-    copy = np.array(array, dtype=np.float64)
-    copy.setflags(write=False)
-    return copy
+def _counted(lengths: Sequence[int]) -> str:
+    return f"{len(lengths)} {'run' if len(lengths) == 1 else 'runs'}, {sum(lengths)} samples"
 
 
 def _opened(path: Path) -> h5py.File:
@@ -254,32 +232,3 @@ def _opened(path: Path) -> h5py.File:
 @lru_cache(maxsize=4)
 def _open_once(path: Path, inode: int, modified: int, process: int) -> h5py.File:
     return h5py.File(path, "r")
-
-
-def _validate(trajectory: Trajectory) -> None:
-    name = trajectory.name or "trajectory"
-    time, observation, inputs = trajectory.time, trajectory.observation, trajectory.input
-    if time.ndim != 1 or observation.ndim != 2 or inputs.ndim != 2:
-        raise ValueError(f"{name}: expected time (T,), observation (T, p), input (T, m); "
-                         f"got {time.shape}, {observation.shape}, {inputs.shape}")
-    if not len(time) == len(observation) == len(inputs):
-        raise ValueError(f"{name}: {len(time)} times, {len(observation)} observations and {len(inputs)} inputs; "
-                         "the three must be equally many")
-    if len(time) < 2:
-        raise ValueError(f"{name}: {len(time)} samples; at least 2 are needed")
-    if trajectory.kind not in KINDS or trajectory.split not in SPLITS:
-        raise ValueError(f"{name}: kind {trajectory.kind!r} and split {trajectory.split!r}; "
-                         f"expected one of {KINDS} and one of {SPLITS}")
-    for label, array in (("time", time), ("observation", observation), ("input", inputs)):
-        bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
-        if len(bad):
-            raise ValueError(f"{name}: {len(bad)} of {len(array)} samples of {label} are not finite, "
-                             f"the first is sample {bad[0]}; drop or repair them")
-    steps = np.diff(time)
-    if (steps <= 0).any():
-        raise ValueError(f"{name}: time does not increase at sample {int(np.argmax(steps <= 0)) + 1}")
-    jitter = np.abs(steps / trajectory.timestep - 1).max()
-    if jitter > JITTER_TOLERANCE:
-        raise ValueError(f"{name}: the sampling interval deviates by up to {100 * jitter:.3g} % from "
-                         f"{trajectory.timestep:.6g} s, more than {100 * JITTER_TOLERANCE:g} %; "
-                         "resample onto a uniform grid first")

@@ -65,5 +65,5 @@ class Plausible:
                   if self.bounds(key, name)[0] <= raw * scale <= self.bounds(key, name)[1]]
         guess = f"the {COLUMNS[key]} look like {' or '.join(likely)}" if likely else "no known unit makes it plausible"
         raise ValueError(f"{quantity} is {value:.3g}{inside} when the {COLUMNS[key]} are read in {unit}; expected "
-                         f"between {lowest:g} and {highest:g}{inside}: {guess}. In a card, correct units.{key}, or "
+                         f"between {lowest:g} and {highest:g}{inside}: {guess}. Correct units.{key}, or "
                          f"widen {CARD_KEYS[key]} where the value is true")

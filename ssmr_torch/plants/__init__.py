@@ -1,0 +1,26 @@
+"""Robots that the package simulates, and one on another machine; each offers what `Plant` describes.
+
+    plant = ssmr_torch.plants.Trunk()        # silicone, eight cables, in finite elements; also Diamond
+    plant = ssmr_torch.plants.SlowManifold() # analytic: its spectral submanifold is known in closed form
+    plant = ssmr_torch.plants.Rig(plant, noise_std=1e-4, sensor_delay=0.02)   # the same with a bench's faults
+    plant = ssmr_torch.plants.RemotePlant("tcp://0.0.0.0:5555")               # waits for a robot to connect
+"""
+
+from typing import TYPE_CHECKING
+
+from ssmr_torch.lazy import lazily
+
+if TYPE_CHECKING:
+    from ssmr_torch.plants.base import Plant
+    from ssmr_torch.plants.diamond import Diamond
+    from ssmr_torch.plants.remote import RemotePlant
+    from ssmr_torch.plants.rig import Rig
+    from ssmr_torch.plants.slow_manifold import SlowManifold
+    from ssmr_torch.plants.trunk import Trunk
+
+__all__ = ["Diamond", "Plant", "RemotePlant", "Rig", "SlowManifold", "Trunk"]
+
+__getattr__, __dir__ = lazily(__name__, {
+    "Diamond": "ssmr_torch.plants.diamond:Diamond", "Plant": "ssmr_torch.plants.base:Plant",
+    "RemotePlant": "ssmr_torch.plants.remote:RemotePlant", "Rig": "ssmr_torch.plants.rig:Rig",
+    "SlowManifold": "ssmr_torch.plants.slow_manifold:SlowManifold", "Trunk": "ssmr_torch.plants.trunk:Trunk"})

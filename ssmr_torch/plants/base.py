@@ -6,6 +6,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from ssmr_torch import data_sheet as sheet
+from ssmr_torch.data_sheet import DataSheet
+
 
 @runtime_checkable
 class Plant(Protocol):
@@ -41,6 +44,19 @@ class Plant(Protocol):
     @property
     def displacement(self) -> np.ndarray:
         """(p,), where the observed points truly are now, m; the observation of an ideal plant."""
+
+
+class PlantSheet(DataSheet):
+    """Lets a plant print itself."""
+
+    def data_sheet(self) -> tuple[str, dict]:
+        lowest, highest = self.input_bounds
+        entries = {"sampling time": sheet.period(self.timestep),
+                   "outputs": f"{sheet.listed(self.output_names)}; displacement from rest, m",
+                   "inputs": sheet.spans(self.input_names, lowest, highest, sheet.unit_of(self.input_unit)),
+                   "rest": f"{sheet.listed(sheet.number(1e3 * x) for x in self.rest)} mm"}
+        sizes = f"{len(self.input_names)} inputs, {len(self.output_names)} outputs"
+        return f"{type(self).__name__} {self.name!r}: {sizes}", entries
 
 
 def finite_vector(value: np.ndarray, size: int, name: str) -> np.ndarray:

@@ -10,7 +10,7 @@ from time import monotonic
 
 import numpy as np
 
-from ssmr_torch.plants.base import finite_vector
+from ssmr_torch.plants.base import PlantSheet, finite_vector
 from ssmr_torch.wire.link import ControllerLink
 from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotCard, read_card, unpack
 from ssmr_torch.wire.stream import MeasurementStream, Place
@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 
 
 class RemotePlant(PlantSheet):
-    """A robot that connects to this address, such as one of ssmr serve-plant or of one's own (docs/wire.md).
+    """A robot that connects to this address, such as ssmr serve-plant or one of one's own (docs/wire.md).
 
     bind: address to wait at; the robot's names, timestep, rest and bounds are those of its HELLO.
     wait: s to wait for it.   deadline, timeout, patience: as of `wire.controller_end.ControllerEnd`.

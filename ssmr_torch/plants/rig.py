@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.plants.base import Plant, finite_vector
+from ssmr_torch.plants.base import Plant, PlantSheet, finite_vector
 
 DROPPED = ("held", "missing")
 # Sets the rig's random numbers apart from those that others draw with the same seed.
 STREAM = 0x726967
 
 
-class Rig:
+class Rig(PlantSheet):
     """A plant with the actuators and sensors of a bench, each part off by default: u → actuators → plant → sensors → y.
 
     Actuators, per input, h the timestep, from the forces a, x, T of the step before:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
-from ssmr_torch.plants.base import finite_vector, input_range
+from ssmr_torch.plants.base import PlantSheet, finite_vector, input_range
 
 SLOW_DIM, FAST_DIM, CABLES = 6, 4, 4
 
@@ -88,7 +88,7 @@ def _slow_flow(xi, u, duration, substeps):
     return xi
 
 
-class SlowManifold:
+class SlowManifold(PlantSheet):
     """A cable-driven trunk: slow state ξ = (q, v) ∈ R⁶, fast modes η ∈ R⁴ that relax to a known manifold.
 
         q̇ = v,   v̇ = -∇V(q) - D v + T(q) u,              so ξ̇ = f(ξ) + b(ξ) u, b affine in ξ,
@@ -111,6 +111,17 @@ class SlowManifold:
     fast_rate_scale multiplies Λ, fast_input_gain E.
     state: (10,), ξ then η.
     Raises ValueError for bounds out of order, non-positive times or rates, and unknown observations.
+
+    >>> SlowManifold()
+    SlowManifold 'slow manifold': 4 inputs, 6 outputs
+    ├─ sampling time: 0.01 s (100 Hz)
+    ├─ outputs: tip_x, tip_y, tip_z, mid_x, mid_y, mid_z; displacement from rest, m
+    ├─ inputs
+    │  ├─ cable_+x: 0 … 1.5 N
+    │  ├─ cable_-x: 0 … 1.5 N
+    │  ├─ cable_+y: 0 … 1.5 N
+    │  └─ cable_-y: 0 … 1.5 N
+    └─ rest: 0, 0, 200, 0, 0, 100 mm
     """
 
     name = "slow manifold"

@@ -7,14 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ssmr_torch import data_sheet as sheet
+from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.tasks.obstacles import Circle, HalfPlane
 
 # The frequencies of a figure eight: (−sin θ, sin 2θ) = sin(EIGHT · θ).
 EIGHT = np.array([-1.0, 2.0])
 
 
-@dataclass(frozen=True, eq=False)
-class Task:
+@dataclass(frozen=True, eq=False, repr=False)
+class Task(DataSheet):
     """A reference path for some outputs of a robot.
 
     path: times (K,) s in [0, duration] → (K, q) m relative to rest.   duration: s; before 0 and after it the
@@ -22,6 +24,14 @@ class Task:
     obstacles: `Circle`s and `HalfPlane`s that the tracked outputs must keep out of.
     Raises ValueError for a duration that is not positive, tracked outputs that repeat, or obstacles over more outputs
     than are tracked.
+
+    >>> figure_eight(tracked=["tip_x", "tip_y"])
+    Task 'figure eight': 10.4 s
+    ├─ reference
+    │  ├─ tip_x: -15 … 15 mm
+    │  └─ tip_y: -15 … 15 mm
+    ├─ speed: at most 134 mm/s
+    └─ obstacles: none
     """
 
     name: str
@@ -53,6 +63,16 @@ class Task:
             raise ValueError(f"the path of task {self.name!r} has shape {reference.shape}; expected "
                              f"{(len(time), len(self.tracked))}: one row per time, one column per output")
         return reference
+
+    def data_sheet(self) -> tuple[str, dict]:
+        time = np.linspace(0.0, self.duration, 2001)
+        reference = self.reference(time)
+        fastest = np.linalg.norm(np.diff(reference, axis=0), axis=1).max() / time[1]
+        names = [output if isinstance(output, str) else f"output {output}" for output in self.tracked]
+        return f"Task {self.name!r}: {sheet.number(self.duration)} s", {
+            "reference": sheet.spans(names, reference.min(axis=0), reference.max(axis=0), "mm", 1e3),
+            "speed": f"at most {sheet.number(1e3 * fastest)} mm/s",
+            "obstacles": len(self.obstacles) or "none"}
 
     def columns(self, output_names: Sequence[str] | None = None) -> tuple[int, ...]:
         """Indices of the tracked outputs. Raises ValueError for one that the robot does not have."""
@@ -111,6 +131,35 @@ def rose(amplitude: float = 0.015, petals: int = 3, angular_speed: float = 2.0, 
         return amplitude * (np.sin(petals * theta) * np.stack([np.cos(theta), np.sin(theta)])).T
 
     return Task(name, duration, tuple(tracked), path, obstacles)
+
+
+def path(times, points, outputs: Sequence[int | str], *, name: str = "path", obstacles=()) -> Task:
+    """A path of one's own, straight between its points and held at the last one: y(t_i) = points[i].
+
+    times (T,) s, increasing, the first zero or later; points (T, q) m, relative to rest, one column for each of the q
+    `outputs`, which are names or indices; obstacles as in `Task`.
+    Raises ValueError for times that do not increase, sizes that disagree, or numbers that are not finite.
+
+    >>> there = path([0.0, 1.0, 3.0], [[0.0, 0.0], [0.01, 0.0], [0.01, 0.02]], outputs=["tip_x", "tip_y"])
+    >>> there.reference([0.5, 2.0, 9.0])
+    array([[0.005, 0.   ],
+           [0.01 , 0.01 ],
+           [0.01 , 0.02 ]])
+    """
+    times, points = np.array(times, dtype=np.float64), np.array(points, dtype=np.float64)
+    if times.ndim != 1 or points.shape != (len(times), len(outputs)):
+        raise ValueError(f"a path with times of shape {times.shape} and points of shape {points.shape} for "
+                         f"{len(outputs)} outputs {list(outputs)}; expected (T,) and (T, {len(outputs)})")
+    if not (np.isfinite(times).all() and np.isfinite(points).all()):
+        raise ValueError("a path with times or points that are not finite; expected s and m")
+    if len(times) < 2 or times[0] < 0 or (np.diff(times) <= 0).any():
+        raise ValueError(f"the {len(times)} times of a path run from {times[:1].tolist()} to {times[-1:].tolist()} s; "
+                         "expected two or more that increase, the first zero or later")
+
+    def between(time):
+        return np.stack([np.interp(time, times, column) for column in points.T], axis=-1)
+
+    return Task(name, float(times[-1]), tuple(outputs), between, obstacles)
 
 
 def ramped_phase(total: float, speed: float, ramp: float) -> tuple[Callable[[np.ndarray], np.ndarray], float]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ssmr_torch.plants.base import finite_vector, input_range
+from ssmr_torch.plants.base import PlantSheet, finite_vector, input_range
 from ssmr_torch.plants.finite_element.cables import Cables
 from ssmr_torch.plants.finite_element.equilibrium import equilibrium
 from ssmr_torch.plants.finite_element.linear_solvers import linear_solver
@@ -20,7 +20,7 @@ AXES = ("x", "y", "z")
 SLOWEST = 12
 
 
-class FiniteElementRobot:
+class FiniteElementRobot(PlantSheet):
     """A clamped elastic body of tetrahedra that cables pull; a Plant.
 
     markers: name → a node's number, or a point (3,) m in the undeformed body, which stands for the node nearest to it;

@@ -1,0 +1,215 @@
+"""Trajectories from arrays or frames in memory, on the way that recordings in files take."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from ssmr_torch.data.recording import Recording, assemble
+from ssmr_torch.data.sampling import SamplingRule
+from ssmr_torch.data.units import Plausible, Units
+from ssmr_torch.trajectory import TrajectoryDataset
+
+logger = logging.getLogger(__name__)
+
+ENDS = 10           # last samples of a decay whose median is where it ends
+FAR, ASTRAY = 0.1, 1.0  # of a decay's own extent: ends farther from zero are said, or refused
+
+
+def trajectories(*, decays=(), controlled=(), validation=(), test=(), output_names: Sequence[str] | None = None,
+                 input_names: Sequence[str] | None = None, units: Mapping[str, str] | None = None, rest=None,
+                 timestep: float | None = None, missing: str = "refuse", minimum_length: int = 10,
+                 range: Sequence[float] = Plausible.displacement, interval_range: Sequence[float] = Plausible.interval,
+                 largest_input: float | None = None) -> TrajectoryDataset:
+    """The dataset of runs that are arrays, or frames of pandas or polars.
+
+    Each run is (t, y, u): times (T,), or one number, the sampling time; the displacement of the observed points from
+    their rest position, (T, p) or (T,); inputs (T, m) or (T,), u[k] held from sample k to sample k + 1, so that y[k]
+    does not feel it yet. A decay may be (t, y): its inputs are zero. Frames bring the names of their columns.
+
+    decays: runs back to rest without input. controlled: runs under inputs. Both are trained on. validation, test: runs
+    that are not; those whose inputs never move count as decays. A mapping instead of a list names its runs.
+    output_names, input_names: one per column (y1, … and u1, … by default); of a frame they choose the columns.
+    units: of what is given, such as {"length": "mm", "input": "N", "time": "s"}; m, N and s by default, and input "1"
+    for normalized commands. rest: (p,), absolute position of the origin of y, in the unit of length; zero by default.
+    timestep: s, of the grid that irregular samples are put on; None for their median interval. missing: "refuse" rows
+    that are not finite, or "split" the run there. minimum_length: samples; shorter runs are left out. range,
+    interval_range: smallest and largest peak displacement, m, and sampling time, s, that are plausible; largest_input:
+    the same of |u|, in N or 1.
+
+    Raises ValueError for lengths, names and units that do not fit, a decay whose inputs move or that does not end near
+    zero, and recordings that no robot makes; the message names the run and the remedy.
+
+    >>> t = np.linspace(0.0, 2.0, 201)
+    >>> swing = 8.0 * np.exp(-2.0 * t) * np.cos(9.0 * t)
+    >>> trajectories(decays=[(t, swing, 0.0 * t)], test={"other": (0.01, 0.5 * swing, 0.0 * t)},
+    ...              output_names=["tip"], input_names=["cable"], units={"length": "mm"})
+    TrajectoryDataset: 2 runs, 402 samples, 0.01 s (100 Hz)
+    ├─ runs
+    │  ├─ decay, train: 1 run, 201 samples
+    │  └─ decay, test: 1 run, 201 samples
+    ├─ outputs: displacement from rest
+    │  └─ tip: -4.07 … 8 mm
+    ├─ inputs: held from sample to sample
+    │  └─ cable: 0 … 0 N
+    ├─ rest: 0 mm
+    ├─ from: arrays
+    └─ sources: decay 1 (...), other (...)
+    """
+    measured = Units(**{"length": "m"} | _known_units(units))
+    runs = _runs({"decays": decays, "controlled": controlled, "validation": validation, "test": test})
+    output_names = _common("output", runs, [run.observation for run in runs], output_names)
+    input_names = _common("input", runs, [run.input for run in runs], input_names)
+    recordings = [run.recording(output_names, input_names, measured) for run in runs]
+    _check_decays([each for each, run in zip(recordings, runs) if run.part == "decays"], input_names, measured)
+    origin = np.zeros(len(output_names)) if rest is None else measured.scale("length") * _vector(rest, output_names)
+    provenance = {"reader": "arrays", "sources": {each.name: _digest(each) for each in recordings}, "assumptions": [
+        f"Lengths in {measured.length}, inputs in {measured.input}, time in {measured.time}.",
+        "Observations are displacements from rest.",
+        "Each input is held until the next sample and acts after the observation of its row."]}
+    rule = SamplingRule("resample", timestep, missing=missing, minimum_length=minimum_length)
+    return assemble(recordings, origin, output_names, input_names, measured, rule, provenance,
+                    Plausible(tuple(range), tuple(interval_range), largest_input))
+
+
+def _runs(given: Mapping) -> list[_Columns]:
+    """All runs, each under a name of its own."""
+    runs = [_Columns(name, part, *run) for part, of_part in given.items() for name, run in _named(part, of_part)]
+    if not runs:
+        raise ValueError("no runs were given; expected decays=[(t, y, u), …], controlled=[…], or both, and test=[…]")
+    names = [run.name for run in runs]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"two runs are named {twice[0]!r}; give each a name of its own")
+    return runs
+
+
+class _Columns:
+    """One run as it was given: times, and columns with their names where a frame brought them."""
+
+    def __init__(self, name: str, part: str, time, observation, inputs=None):
+        self.name, self.part = name, part
+        self.observation, self.input = (None if each is None else _table(each, f"{name}: {what}")
+                                        for each, what in ((observation, "y"), (inputs, "u")))
+        if inputs is None and part in ("controlled", "validation"):
+            raise ValueError(f"{name} has no inputs; expected (t, y, u)")
+        self.time = np.asarray(time.to_numpy() if hasattr(time, "to_numpy") else time)
+
+    def recording(self, output_names, input_names, units: Units) -> Recording:
+        y = self.observation[1]
+        u = np.zeros((len(y), len(input_names))) if self.input is None else self.input[1]
+        if len(y) == len(u) + 1:
+            raise ValueError(f"{self.name} has {len(y)} observations and {len(u)} inputs; expected equally many: u[k] "
+                             "is held from sample k to sample k + 1, so leave out the last observation, y[:-1], t[:-1]")
+        y, u = (_chosen(table, array, names, self.name) for table, array, names in
+                ((self.observation, y, output_names), (self.input, u, input_names)))
+        time = self.time.astype(np.float64)
+        if time.ndim == 0:
+            time = time * np.arange(len(y))
+        time, y, u = (units.scale(key) * array for key, array in (("time", time), ("length", y), ("input", u)))
+        still = len(u) and np.ptp(u[np.isfinite(u).all(axis=1)], axis=0).max(initial=0.0) == 0
+        kind = "decay" if self.part == "decays" or (self.part in ("test", "validation") and still) else "controlled"
+        split = self.part if self.part in ("test", "validation") else "train"
+        return Recording(self.name, time.reshape(-1), y, u, kind, split, centred=True)
+
+
+def _named(part: str, runs) -> Iterable[tuple[str, tuple]]:
+    """Name and (t, y, u) of each run; `decay 1`, … where they have none."""
+    if not isinstance(runs, (Mapping, list, tuple)):
+        raise ValueError(f"{part} is {type(runs).__name__}; expected a list of runs (t, y, u), or a mapping that names "
+                         "them")
+    numbered = {f"{part.removesuffix('s')} {place}": run for place, run in enumerate(runs, start=1)}
+    for name, run in (runs if isinstance(runs, Mapping) else numbered).items():
+        if not isinstance(run, (tuple, list)) or len(run) not in (2, 3):
+            raise ValueError(f"{name} of {part} is no run; expected (t, y, u): times or a sampling time, observations "
+                             "(T, p), inputs (T, m)")
+        yield str(name), tuple(run)
+
+
+def _table(given, what: str) -> tuple[tuple[str, ...] | None, np.ndarray]:
+    """Names of the columns, None of an array, and the numbers (T, columns)."""
+    names = tuple(str(name) for name in given.columns) if hasattr(given, "columns") else None
+    try:
+        array = np.array(given.to_numpy() if hasattr(given, "to_numpy") else given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{what} is not all numbers ({error}); leave out columns of text and dates") from error
+    if array.ndim not in (1, 2):
+        raise ValueError(f"{what} has shape {array.shape}; expected (T,) or (T, columns)")
+    return names, array.reshape(len(array), -1)
+
+
+def _common(what: str, runs, tables, names) -> tuple[str, ...]:
+    """The names that all runs share: those asked for, those of frames, or numbers. Refuses runs that differ."""
+    known = [(run.name, table) for run, table in zip(runs, tables) if table is not None]
+    if names is None and not known:
+        raise ValueError(f"no run has {what}s; give {what}_names, one for each {what} of the robot")
+    first = next((columns for _, (columns, _) in known if columns is not None), None)
+    if names is None:
+        names = first or [f"{'y' if what == 'output' else 'u'}{place}"
+                          for place in np.arange(known[0][1][1].shape[1]) + 1]
+    names = (names,) if isinstance(names, str) else tuple(names)
+    for run, (columns, array) in known:
+        lacking = [] if columns is None else [name for name in names if name not in columns]
+        if lacking:
+            raise ValueError(f"{run} has no {what} columns {lacking}; its frame has {list(columns)}")
+        if columns is None and array.shape[1] != len(names):
+            raise ValueError(f"{run} has {array.shape[1]} {what}s; expected {len(names)}, {list(names)}: one column "
+                             "for each, in every run")
+    return names
+
+
+def _chosen(table, array: np.ndarray, names: Sequence[str], run: str) -> np.ndarray:
+    """The columns of these names, in this order."""
+    if table is None or table[0] is None:
+        return array
+    return array[:, [table[0].index(name) for name in names]]
+
+
+def _known_units(units: Mapping[str, str] | None) -> dict[str, str]:
+    unknown = [key for key in units or {} if key not in ("length", "input", "time")]
+    if unknown:
+        raise ValueError(f"units has the unknown key {unknown[0]!r}; expected length, input, time, such as "
+                         "{'length': 'mm', 'input': 'N', 'time': 's'}")
+    return dict(units or {})
+
+
+def _check_decays(decays: Sequence[Recording], input_names: Sequence[str], units: Units) -> None:
+    """Refuse decays whose inputs move, and positions that are not measured from rest."""
+    for decay in decays:
+        moved = np.ptp(decay.input, axis=0) if len(decay.input) else np.zeros(0)
+        if moved.max(initial=0.0) > 0:
+            raise ValueError(f"{decay.name} is a decay, but its input {input_names[int(moved.argmax())]} changes by "
+                             f"{moved.max():.3g}; list it under controlled, or cut it to where the robot is let go")
+    if not decays:
+        return
+    rows = [decay.observation[np.isfinite(decay.observation).all(axis=1)] for decay in decays]
+    rows = [each for each in rows if len(each) > 1] or [np.zeros((2, 1))]
+    end = np.median([np.median(each[-ENDS:], axis=0) for each in rows], axis=0)
+    extent = max(np.linalg.norm(np.ptp(each, axis=0)) for each in rows)
+    away = float(np.linalg.norm(end))
+    if away > FAR * extent:
+        found = (f"decays end {1e3 * away:.3g} mm from zero, in the median at {np.round(1e3 * end, 2).tolist()} mm, "
+                 f"and move by {1e3 * extent:.3g} mm; y is the displacement from rest")
+        if away > ASTRAY * extent:
+            raise ValueError(f"{found}: subtract the rest position, {(end / units.scale('length')).round(5).tolist()} "
+                             f"{units.length} where the decays end at rest")
+        logger.warning("%s: record them longer, or subtract where the robot rests", found)
+
+
+def _vector(rest, output_names: Sequence[str]) -> np.ndarray:
+    vector = np.asarray(rest, dtype=np.float64)
+    if vector.shape != (len(output_names),) or not np.isfinite(vector).all():
+        raise ValueError(f"rest is {np.ndarray.tolist(vector)}; expected {len(output_names)} finite numbers, one for "
+                         "each output")
+    return vector
+
+
+def _digest(recording: Recording) -> str:
+    """SHA-256 of a run's numbers."""
+    digest = hashlib.sha256()
+    for array in (recording.time, recording.observation, recording.input):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
