@@ -8,7 +8,9 @@ import lightning
 import numpy as np
 from torch.utils.data import DataLoader, RandomSampler, Subset
 
-from ssmr_torch.data.windows import NoisyWindows, RolloutDataset, SegmentDataset, SegmentShare, stack_rollouts
+from ssmr_torch.data.starts import ScoredRuns, starts_over
+from ssmr_torch.data.windows import RolloutDataset, SegmentDataset, SegmentShare, stack_rollouts
+from ssmr_torch.periods import whole_multiple
 from ssmr_torch.trajectory import TrajectoryDataset
 
 
@@ -64,7 +66,8 @@ class TrajectoryDataModule(lightning.LightningDataModule):
         Raises ValueError here, before any fit, when runs are too short for its delays and the horizons.
         """
         self.procedure, self.delays = getattr(fit, "procedure", None), fit.model.delays
-        self.sampling = max(round(fit.model.timestep / self.dataset.timestep), 1)
+        self.sampling = whole_multiple("the model's timestep", fit.model.timestep, "the data's sampling time",
+                                       self.dataset.timestep, "change model.timestep, or resample the data")
         if hasattr(self.procedure, "sampled_every"):
             self.procedure.sampled_every(self.dataset.timestep)
         self.drawn_horizon = getattr(fit, "horizon", self.rollout_horizon)
@@ -75,7 +78,7 @@ class TrajectoryDataModule(lightning.LightningDataModule):
 
     def train_dataloader(self) -> DataLoader:
         if self.procedure is None:
-            data = self._share(self._rollouts(self.training, self.drawn_horizon, None, self.transient))
+            data = self._share(self._rollouts())
             if self.drawn_starts and self.drawn_starts < len(data):
                 sampler = RandomSampler(data, num_samples=self.drawn_starts)
                 return DataLoader(data, self.drawn_starts, sampler=sampler, collate_fn=stack_rollouts,
@@ -99,15 +102,16 @@ class TrajectoryDataModule(lightning.LightningDataModule):
     def _scored(self, trajectories: tuple) -> list | DataLoader:
         if not trajectories:
             return []
-        data = self._rollouts(trajectories, self.validation_horizon, self.starts, 0.0)
-        if self.noise_std:
-            data = NoisyWindows(data, self.noise_std, self.seed)
-        return DataLoader(data, len(data), collate_fn=stack_rollouts, num_workers=self.num_workers)
+        starts_over([run.length for run in trajectories], self.validation_horizon, self.dataset.timestep, self.sampling,
+                    margin=max(1, self.delays * self.sampling), count=self.starts, seed=self.seed)
+        runs = tuple(run.read() for run in trajectories)
+        seen = tuple(_noisy(run, self.noise_std, (self.seed, 1, number)) for number, run in enumerate(runs))
+        return DataLoader([ScoredRuns(runs, seen, self.validation_horizon, self.starts, self.seed)], batch_size=None)
 
-    def _rollouts(self, trajectories: tuple, horizon: float, starts: int | None, transient: float) -> RolloutDataset:
-        steps = max(round(horizon / (self.dataset.timestep * self.sampling)), 1)
-        return RolloutDataset(trajectories, delays=self.delays, horizon=steps, starts=starts, seed=self.seed,
-                              stride=1 if starts else self.stride, transient=transient, sampling=self.sampling)
+    def _rollouts(self) -> RolloutDataset:
+        steps = max(round(self.drawn_horizon / (self.dataset.timestep * self.sampling)), 1)
+        return RolloutDataset(self.training, delays=self.delays, horizon=steps, stride=self.stride,
+                              transient=self.transient, sampling=self.sampling)
 
     def _share(self, data):
         """This process's part: each segment in exactly one process; of rollouts, equally many in each."""

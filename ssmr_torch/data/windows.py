@@ -168,21 +168,6 @@ class RolloutDataset(Dataset):
         return RolloutBatch(observation[:d + 1], inputs[:d], inputs[d:], observation[d + 1:])
 
 
-class NoisyWindows(Dataset):
-    """Rollouts whose windows carry seeded white noise of noise_std m; inputs and outputs are as measured."""
-
-    def __init__(self, rollouts: RolloutDataset, noise_std: float, seed: int = 0):
-        self.rollouts, self.noise_std, self.seed = rollouts, float(noise_std), int(seed)
-
-    def __len__(self) -> int:
-        return len(self.rollouts)
-
-    def __getitem__(self, item: int) -> RolloutBatch:
-        batch = self.rollouts[item]
-        noise = np.random.default_rng((self.seed, item)).normal(0.0, self.noise_std, tuple(batch.window.shape))
-        return replace(batch, window=batch.window + torch.from_numpy(noise))
-
-
 def stack_rollouts(items: list[RolloutBatch]) -> RolloutBatch:
     """One batch from single starts."""
     return RolloutBatch(*(torch.stack([getattr(item, name) for item in items])

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ssmr_torch.data.starts import samples_within, starts_over
 from ssmr_torch.evaluation.metrics import rollout_rmse
 from ssmr_torch.evaluation.predictors import BASELINES, DIVERGENCE_FACTOR, as_predictor
-from ssmr_torch.evaluation.rollouts import TIMESTEP_TOLERANCE, Forecaster, Recording, draw_starts
+from ssmr_torch.evaluation.rollouts import Forecaster, Recording
 
 HORIZONS = (0.05, 0.2, 1.0)
 SAMPLES_PER_BLOCK = 1 << 16
@@ -110,19 +111,27 @@ def score_open_loop(model, trajectories: Iterable, *, horizons: Sequence[float] 
     outputs exceeds 10 times the largest measured ‖y‖. Raises ValueError when timesteps or columns do not
     match or no trajectory is long enough.
     """
-    if not horizons:
-        raise ValueError("no horizons were given; expected at least one, in s")
     recording = Recording.of(trajectories)
     forecaster = Forecaster(as_predictor(model), recording)
-    needed = max(1, forecaster.reach)
-    margin = needed if margin is None else margin
-    if margin < needed:
-        raise ValueError(f"margin is {margin} samples, but the model needs {needed} before a start "
-                         f"({forecaster.predictor.delays} delays of {forecaster.window_stride} samples)")
+    margin = forecaster.margin if margin is None else margin
     columns = _columns(outputs, recording.observation.shape[1])
-    scores = [_score_horizon(forecaster, horizon, starts, seed, margin, columns) for horizon in horizons]
-    scores.append(_score_full(forecaster, margin, columns))
-    return OpenLoopScore(tuple(scores), margin, seed, tuple(columns.tolist()))
+    scores = score_horizons(forecaster, horizons, starts=starts, seed=seed, margin=margin, outputs=outputs)
+    return OpenLoopScore((*scores, _score_full(forecaster, margin, columns)), margin, seed, tuple(columns.tolist()))
+
+
+def score_horizons(forecaster: Forecaster, horizons: Sequence[float], *, starts: int = 500, seed: int = 0,
+                   margin: int | None = None, outputs: Sequence[int] | None = None) -> tuple[HorizonScore, ...]:
+    """The scores over `horizons` alone, for what is scored again and again; options and errors are those of
+    `score_open_loop`.
+    """
+    if not horizons:
+        raise ValueError("no horizons were given; expected at least one, in s")
+    margin = forecaster.margin if margin is None else margin
+    if margin < forecaster.margin:
+        raise ValueError(f"margin is {margin} samples, but the model needs {forecaster.margin} before a start "
+                         f"({forecaster.predictor.delays} delays of {forecaster.window_stride} samples)")
+    columns = _columns(outputs, forecaster.recording.observation.shape[1])
+    return tuple(_score_horizon(forecaster, horizon, starts, seed, margin, columns) for horizon in horizons)
 
 
 def compare_open_loop(models: Mapping[str, object], trajectories: Iterable, *, margin: int | None = None,
@@ -170,15 +179,10 @@ def format_table(scores: Mapping[str, OpenLoopScore]) -> str:
 def _score_horizon(forecaster: Forecaster, horizon: float, starts: int, seed: int, margin: int,
                    columns: np.ndarray) -> HorizonScore:
     recording, stride = forecaster.recording, forecaster.stride
-    span = _samples_within(horizon, recording.timestep)
-    steps = span // stride
-    if steps < 1:
-        raise ValueError(f"the horizon of {horizon:g} s is shorter than a step: the model steps by "
-                         f"{stride * recording.timestep:g} s, the data by {recording.timestep:g} s; "
-                         "take longer horizons")
-    owner, sample = draw_starts(recording.lengths, margin, span, starts, seed)
+    owner, sample, steps = starts_over(recording.lengths, horizon, recording.timestep, stride, margin=margin,
+                                       count=starts, seed=seed)
     errors = _errors(forecaster, owner, sample, np.full(len(owner), steps), columns)
-    skipped = int((recording.lengths < margin + span + 1).sum())
+    skipped = int((recording.lengths < margin + samples_within(horizon, recording.timestep) + 1).sum())
     return HorizonScore(_label(horizon), steps, steps * stride * recording.timestep, *errors, skipped)
 
 
@@ -212,14 +216,6 @@ def _errors(forecaster: Forecaster, owner: np.ndarray, sample: np.ndarray, steps
         errors.append(np.where(diverged, np.inf, rollout_rmse(predicted, measured, steps[block])))
         output_errors.append(np.where(diverged[:, None], np.inf, np.stack(each, axis=-1)))
     return np.concatenate(errors), np.concatenate(output_errors)
-
-
-def _samples_within(horizon: float, timestep: float) -> int:
-    if not (math.isfinite(horizon) and horizon > 0):
-        raise ValueError(f"a horizon of {horizon} s; expected a positive number of seconds")
-    ratio = horizon / timestep
-    nearest = round(ratio)
-    return nearest if abs(ratio - nearest) <= TIMESTEP_TOLERANCE * ratio else math.floor(ratio)
 
 
 def _columns(outputs: Sequence[int] | None, available: int) -> np.ndarray:

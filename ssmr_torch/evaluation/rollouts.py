@@ -8,14 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ssmr_torch.evaluation.predictors import Predictor, as_predictor
-
-TIMESTEP_TOLERANCE = 1e-3
+from ssmr_torch.periods import TOLERANCE, whole_multiple
 
 
 class Recording(NamedTuple):
     """Trajectories end to end: observation (Σ T, p) m, input (Σ T, m); offsets, lengths (R,) of each.
 
-    timestep: sampling time, s.
+    timestep: sampling time, s. seen: (Σ T, p) m, what windows are cut from: the observation, or it with noise.
     """
 
     observation: np.ndarray
@@ -23,28 +22,33 @@ class Recording(NamedTuple):
     offsets: np.ndarray
     lengths: np.ndarray
     timestep: float
+    seen: np.ndarray
 
     @classmethod
-    def of(cls, trajectories: Iterable) -> Recording:
-        """Read all trajectories. Raises ValueError when there is none or their sampling times differ."""
+    def of(cls, trajectories: Iterable, seen: Iterable | None = None) -> Recording:
+        """Read all trajectories; seen: the same ones as windows are to show them, None for as they are.
+
+        Raises ValueError when there is none or their sampling times differ.
+        """
         runs = [trajectory.read() for trajectory in trajectories]
         if not runs:
             raise ValueError("no trajectory to score on; select a split or kind that the dataset has")
         timesteps = np.array([run.timestep for run in runs])
-        if np.ptp(timesteps) > TIMESTEP_TOLERANCE * timesteps.min():
+        if np.ptp(timesteps) > TOLERANCE * timesteps.min():
             raise ValueError(f"the trajectories are sampled at {timesteps.min():.6g} to "
                              f"{timesteps.max():.6g} s; score equal ones together, or resample them")
         lengths = np.array([run.length for run in runs])
-        return cls(np.concatenate([run.observation for run in runs]),
-                   np.concatenate([run.input for run in runs]),
-                   np.cumsum(lengths) - lengths, lengths, float(np.median(timesteps)))
+        observation = np.concatenate([run.observation for run in runs])
+        shown = observation if seen is None else np.concatenate([run.read().observation for run in seen])
+        return cls(observation, np.concatenate([run.input for run in runs]),
+                   np.cumsum(lengths) - lengths, lengths, float(np.median(timesteps)), shown)
 
 
 class Forecaster:
     """A predictor on a recording: (trajectory, sample) of N starts → predicted and measured outputs.
 
     stride, window_stride: samples per step of the model and per delay of its window. reach: samples that its
-    window needs before a start. Raises ValueError when columns differ or a timestep is no whole multiple.
+    window needs before a start; margin: that, and one at least, for the velocity of a baseline. Raises ValueError when columns differ or a timestep is no whole multiple.
     """
 
     def __init__(self, predictor: Predictor, recording: Recording):
@@ -54,9 +58,12 @@ class Forecaster:
                 raise ValueError(f"the trajectories have {given} {label}, the model {own}; "
                                  "give it the columns that it was fitted to")
         self.predictor, self.recording = predictor, recording
-        self.stride = _stride("timestep", predictor.timestep, recording.timestep)
-        self.window_stride = _stride("window_timestep", predictor.window_timestep, recording.timestep)
+        self.stride, self.window_stride = (
+            whole_multiple(f"the model's {name}", getattr(predictor, name), "the trajectories' sampling time",
+                           recording.timestep, "use at_timestep, or resample the data")
+            for name in ("timestep", "window_timestep"))
         self.reach = predictor.delays * self.window_stride
+        self.margin = max(1, self.reach)
 
     def __call__(self, owner: np.ndarray, sample: np.ndarray,
                  steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -73,33 +80,9 @@ class Forecaster:
         within = np.arange(self.stride)
         ahead = np.minimum(future[:, :-1, None] + within, last[:, None, None])
         behind = window[:, :-1, None] + np.arange(self.window_stride)
-        predicted = self.predictor.predict(recording.observation[window], recording.input[behind].mean(axis=2),
+        predicted = self.predictor.predict(recording.seen[window], recording.input[behind].mean(axis=2),
                                            recording.input[ahead].mean(axis=2))
         return predicted, recording.observation[future[:, 1:]]
-
-
-def draw_starts(lengths: np.ndarray, margin: int, span: int, count: int,
-                seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """`count` different starts, uniform over all samples with `margin` before and `span` after in their
-    trajectory.
-
-    lengths: (R,) samples per trajectory. Returns trajectory and sample (N,) of each start, in order; all
-    admissible ones where there are fewer than `count`. Raises ValueError when there is none.
-    """
-    if count < 1 or margin < 0 or span < 1:
-        raise ValueError(f"{count} starts with {margin} samples before and {span} after; "
-                         "expected at least 1, 0 and 1")
-    lengths = np.asarray(lengths)
-    admissible = np.maximum(lengths - margin - span, 0)
-    total = int(admissible.sum())
-    if total == 0:
-        raise ValueError(f"the longest of {len(lengths)} trajectories has {lengths.max()} samples; a start "
-                         f"needs {margin} before and {span} after it, {margin + span + 1} in all; "
-                         "take shorter horizons")
-    drawn = np.sort(np.random.default_rng(seed).choice(total, size=min(count, total), replace=False))
-    ends = np.cumsum(admissible)
-    owner = np.searchsorted(ends, drawn, side="right")
-    return owner, drawn - (ends - admissible)[owner] + margin
 
 
 def predict_trajectory(model, trajectory, *, margin: int | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -118,13 +101,3 @@ def predict_trajectory(model, trajectory, *, margin: int | None = None) -> tuple
                          f"samples before its start and {forecaster.stride} after")
     predicted, _ = forecaster(np.array([0]), np.array([start]), np.array([steps]))
     return run.time[start + forecaster.stride * np.arange(1, steps + 1)], predicted[0]
-
-
-def _stride(name: str, seconds: float, sampling: float) -> int:
-    ratio = seconds / sampling
-    stride = round(ratio)
-    if stride < 1 or abs(ratio / stride - 1.0) > TIMESTEP_TOLERANCE:
-        raise ValueError(f"the model's {name} is {seconds:.6g} s, {ratio:.4g} times the trajectories' "
-                         f"sampling time of {sampling:.6g} s; it must be a whole multiple: "
-                         "use at_timestep, or resample the data")
-    return stride

@@ -3,45 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import lightning
 import torch
 from torch import Tensor, distributed
 from torch.utils.data import DistributedSampler
 
-from ssmr_torch.data.windows import RolloutBatch, Segment, delay_windows
+from ssmr_torch.data.starts import ScoredRuns
+from ssmr_torch.data.windows import Segment, delay_windows
 from ssmr_torch.fitting.exact import ExactSolve
+from ssmr_torch.fitting.scores import diverged_under_stress, scores
 from ssmr_torch.fitting.ssmr_least_squares import LeastSquaresModel
 from ssmr_torch.fitting.statistics import PENALTIES
 from ssmr_torch.models.base import ReducedModel
-
-SHORTER = {"50ms": 0.05, "200ms": 0.2}
-
-
-def rollout_errors(model: ReducedModel, batch: RolloutBatch) -> Tensor:
-    """Root mean square errors over the first 1, …, H steps, √(mean_{k≤h} ‖ŷ_k - y_k‖²), of each start, (N, H) m.
-
-    Infinite from the step on at which a rollout diverged.
-    """
-    rollout = model.rollout(model.encode(batch.window, batch.window_inputs), batch.inputs)
-    errors = running_rmse(model.decode(rollout.states[..., 1:, :]) - batch.outputs)
-    step = torch.arange(1, errors.shape[-1] + 1, device=errors.device)
-    return torch.where(step >= rollout.diverged_at[..., None], torch.inf, errors)
-
-
-def hurried(inputs: Tensor, factor: int) -> Tensor:
-    """Inputs (N, H, m) played `factor` times as fast, forwards, backwards, … until H steps are full."""
-    fast = inputs[:, ::factor]
-    return torch.cat([fast.flip(1) if piece % 2 else fast for piece in range(factor)], dim=1)[:, :inputs.shape[1]]
-
-
-def running_rmse(difference: Tensor) -> Tensor:
-    """√(mean_{k≤h} ‖e_k‖²) for h = 1 … H, (..., H, p) → (..., H)."""
-    squares = difference.square().sum(-1)
-    count = torch.arange(1, squares.shape[-1] + 1, device=squares.device)
-    return (squares.cumsum(-1) / count).sqrt()
-
 
 def description(model: ReducedModel) -> dict:
     """Class path and constructor arguments, plain values that rebuild the model."""
@@ -53,14 +27,10 @@ class ModelFit(lightning.LightningModule):
     """Holds a model while it is fitted; the validation and test scores are the same for every model.
 
     card: plain values that travel with the checkpoint (names, units, rest, bounds of the data).
-    validation/rmse, test/rmse: mean over seeded starts of the open-loop error over the horizon, m (infinite when a
-    start diverges, which …/diverged counts); …/rmse_median: their median; …/rmse_50ms and …/rmse_200ms: the mean over
-    the first part of the same rollouts; …/relative: geometric mean over these horizons of the error divided by that of
-    persistence, ŷ_k = y_0, in which short and long horizons count alike.
-    overdrive, overspeed: where one is not 1, the validation rollouts are repeated with inputs `overdrive` times as
-    strong, and with these played `overspeed` times as fast; the larger share that diverges is validation/overdriven,
-    and validation/relative is infinite where any does. What was measured says nothing of what lies beyond it, but
-    that a robot stays finite there is known.
+    validation/…, test/…: see `scores`. overdrive, overspeed: where one is not 1, the validation rollouts are repeated
+    with inputs `overdrive` times as strong, and with these played `overspeed` times as fast; the larger share that
+    diverges is validation/overdriven, and validation/relative is infinite where any does. What was measured says
+    nothing of what lies beyond it, but that a robot stays finite there is known.
     selects: whether the fit keeps its best epoch by its `monitor`, a score of the validation, and is undone where none
     is better than its start; otherwise its last epoch is kept.
     """
@@ -80,33 +50,21 @@ class ModelFit(lightning.LightningModule):
         checkpoint["model"] = description(self.model)
         checkpoint["card"] = self.card
 
-    def validation_step(self, batch: RolloutBatch, index: int) -> None:
-        self._score(batch, "validation")
+    def validation_step(self, scored: ScoredRuns, index: int) -> None:
+        values = scores(self.model, scored)
+        if (self.overdrive, self.overspeed) != (1.0, 1):
+            values["overdriven"] = max(diverged_under_stress(self.model, scored, self.overdrive, speed)
+                                       for speed in {1, self.overspeed})
+            values["relative"] = float("inf") if values["overdriven"] else values["relative"]
+        self._log(values, "validation")
 
-    def test_step(self, batch: RolloutBatch, index: int) -> None:
-        self._score(batch, "test")
+    def test_step(self, scored: ScoredRuns, index: int) -> None:
+        self._log(scores(self.model, scored), "test")
 
-    def _score(self, batch: RolloutBatch, split: str) -> None:
-        running = rollout_errors(self.model, batch)
-        still = running_rmse(batch.window[..., -1:, :] - batch.outputs)
-        errors, horizon = running[..., -1], running.shape[-1]
-        values = {"rmse": errors.mean(), "rmse_median": errors.median(), "diverged": errors.isinf().double().mean()}
-        ratios = [errors.mean() / still[..., -1].mean()]
-        for label, seconds in SHORTER.items():
-            steps = max(round(seconds / self.model.timestep), 1)
-            if steps < horizon:
-                values[f"rmse_{label}"] = running[..., steps - 1].mean()
-                ratios.append(values[f"rmse_{label}"] / still[..., steps - 1].mean())
-        values["relative"] = torch.stack(ratios).log().mean().exp()
-        if split == "validation" and (self.overdrive, self.overspeed) != (1.0, 1):
-            values["overdriven"] = max(self._diverged(batch, speed) for speed in {1, self.overspeed})
-            values["relative"] = torch.where(values["overdriven"] > 0, torch.inf, values["relative"])
-        self.log_dict({f"{split}/{name}": value for name, value in values.items()}, batch_size=len(errors),
-                      prog_bar=split == "validation")
-
-    def _diverged(self, batch: RolloutBatch, speed: int) -> Tensor:
-        stressed = replace(batch, inputs=self.overdrive * hurried(batch.inputs, speed))
-        return rollout_errors(self.model, stressed)[..., -1].isinf().double().mean()
+    def _log(self, values: Mapping[str, float], split: str) -> None:
+        # as tensors, since Lightning makes single precision of plain numbers
+        self.log_dict({f"{split}/{name}": torch.tensor(value, dtype=torch.float64) for name, value in values.items()},
+                      batch_size=1, prog_bar=split == "validation")
 
 
 class LeastSquaresFit(ModelFit):

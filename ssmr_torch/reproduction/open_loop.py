@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ssmr_torch.data.starts import draw_starts, samples_within
 from ssmr_torch.evaluation.open_loop import HORIZONS, OpenLoopScore, compare_open_loop
-from ssmr_torch.evaluation.rollouts import Recording, draw_starts
+from ssmr_torch.evaluation.rollouts import Recording
 
 MAPPED = HORIZONS[0]  # s, of the errors over the workspace
 
@@ -34,7 +35,7 @@ def map_open_loop(models: Mapping[str, object], runs: Sequence, *, outputs: Sequ
     scores = compare_open_loop(models, runs, horizons=horizons, starts=starts, seed=seed, outputs=outputs)
     recording = Recording.of(runs)
     margin = next(iter(scores.values())).margin
-    span = int(horizons[0] / recording.timestep + 1e-6)
+    span = samples_within(horizons[0], recording.timestep)
     owner, sample = draw_starts(recording.lengths, margin, span, starts, seed)
     position = recording.observation[recording.offsets[owner] + sample][:, list(outputs)]
     return OpenLoopMap(scores, position, {name: scores[name].horizons[0].errors for name in models})

@@ -80,15 +80,21 @@ def test_less_than_one_batch_of_rollouts_is_served_whole():
     assert len(batch.window) == 40 - 2 - 8
 
 
-def test_scores_come_from_the_same_seeded_starts_whatever_is_fitted():
-    first, again, other = (next(iter(module(starts=7, seed=seed).prepare(fit).val_dataloader()))
+def scored(options, fit=GRADIENT, part="val"):
+    (found,) = getattr(module(**options).prepare(fit), f"{part}_dataloader")()
+    return found
+
+
+def test_scores_come_from_the_same_runs_horizon_starts_and_seed_whatever_is_fitted():
+    first, again, other = (scored({"starts": 7, "seed": seed}, fit)
                            for seed, fit in ((1, CLOSED_FORM), (1, GRADIENT), (2, GRADIENT)))
-    assert first.window.shape == (7, 3, 3) and first.outputs.shape == (7, 10, 3)
-    torch.testing.assert_close(first.outputs, again.outputs, rtol=0, atol=0)
-    assert not torch.equal(first.outputs, other.outputs)
-    assert (first.window >= 1180).all()
-    (test,) = module(starts=10**6).prepare(GRADIENT).test_dataloader()
-    assert len(test.window) == 120 - 2 - 10
+    assert (first.horizon, first.starts) == (again.horizon, again.starts) == (0.1, 7)
+    assert first.seed == again.seed != other.seed
+    for one, two in zip(first.runs, again.runs, strict=True):
+        np.testing.assert_array_equal(one.observation, two.observation)
+    assert all(run.observation[0, 0] >= 1180 for run in first.runs)
+    (test,) = scored({}, part="test").runs
+    assert test.length == 120 and test.split == "test"
 
 
 def shares(data, processes):
@@ -144,8 +150,8 @@ def test_options_without_meaning_are_refused_with_the_numbers(options, message):
 
 def test_a_held_out_tail_too_short_to_score_is_refused_before_the_fit():
     data = module(TrajectoryDataset([run(100)], np.zeros(3), "xyz", "uv"), validation_horizon=0.5)
-    with pytest.raises(ValueError, match="2 delays and a horizon of 50 samples need 53 samples, the longest of 1 "
-                                         "trajectories has 10"):
+    with pytest.raises(ValueError, match="the longest of 1 trajectories has 10 samples; a start needs 2 before and 50 "
+                                         "after it, 53 in all; take shorter horizons"):
         data.prepare(CLOSED_FORM)
 
 
@@ -161,11 +167,15 @@ def test_noise_is_on_training_runs_and_on_the_windows_of_validation_but_not_on_w
     clean, noisy = (module(noise_std=level).prepare(GRADIENT) for level in (0.0, 0.1))
     spread = noisy.training[1].observation - clean.training[1].observation
     assert 0.09 < spread.std() < 0.11
-    (before,), (after,) = (list(data.val_dataloader()) for data in (clean, noisy))
-    assert torch.equal(before.outputs, after.outputs) and torch.equal(before.inputs, after.inputs)
-    assert 0.08 < float((after.window - before.window).std()) < 0.12
+    (before,), (after,) = (data.val_dataloader() for data in (clean, noisy))
+    for one, other in zip(before.runs, after.runs, strict=True):
+        np.testing.assert_array_equal(one.observation, other.observation)
+        np.testing.assert_array_equal(one.input, other.input)
+    noise = np.concatenate([seen.observation - run.observation for seen, run in zip(after.seen, after.runs)])
+    assert 0.08 < noise.std() < 0.12
+    assert all(seen is run for seen, run in zip(before.seen, before.runs))
     (again,) = noisy.val_dataloader()
-    assert torch.equal(again.window, after.window)
+    np.testing.assert_array_equal(again.seen[0].observation, after.seen[0].observation)
     with pytest.raises(ValueError, match="noise_std is -1"):
         module(noise_std=-1)
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import torch
 
+from ssmr_torch.data.starts import draw_starts
 from ssmr_torch.evaluation.open_loop import compare_open_loop, format_table, score_open_loop
 from ssmr_torch.evaluation.predictors import Predictor, constant_velocity, persistence
-from ssmr_torch.evaluation.rollouts import draw_starts, predict_trajectory
+from ssmr_torch.evaluation.rollouts import predict_trajectory
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 

@@ -7,14 +7,21 @@ import numpy as np
 import pytest
 import torch
 
-from ssmr_torch.data.windows import RolloutBatch
-from ssmr_torch.fitting.fit import ModelFit, hurried, rollout_errors
+from ssmr_torch.data.starts import ScoredRuns
+from ssmr_torch.evaluation.open_loop import score_open_loop
+from ssmr_torch.evaluation.predictors import persistence
+from ssmr_torch.fitting.fit import ModelFit
+from ssmr_torch.fitting.scores import hurried, scores
+from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
+from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.trajectory import Trajectory
 
 TRAINER = partial(lightning.Trainer, accelerator="cpu", devices=1, logger=False, enable_model_summary=False,
                   enable_progress_bar=False)
 
-pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:lightning", "ignore:.*LeafSpec")
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:lightning", "ignore:.*LeafSpec",
+                                        "ignore:.*does not have many workers")
 
 
 def constant_model(rate):
@@ -27,20 +34,9 @@ def constant_model(rate):
     return model
 
 
-class Served(lightning.LightningDataModule):
-    """One batch to validate on."""
-
-    def __init__(self, batch):
-        super().__init__()
-        self.batch = batch
-
-    def val_dataloader(self):
-        return torch.utils.data.DataLoader([self.batch], batch_size=None)
-
-
-def growing_under_inputs():
+def growing_under_inputs(timestep=0.1):
     """dz/dt = (u − 2) z, seen as it is."""
-    model = SSMR(1, 1, 1, 0, control_degree=1, timestep=0.1, substeps=10)
+    model = SSMR(1, 1, 1, 0, control_degree=1, timestep=timestep, substeps=10)
     with torch.no_grad():
         model.chart[0, 0] = model.parametrization[0, 0] = 1.0
         model.drift_table[0, 0], model.control_table[0, 1] = -2.0, 1.0
@@ -48,67 +44,124 @@ def growing_under_inputs():
     return model
 
 
-def still(count, horizon=10):
-    """Measurements that stay at one."""
-    ones = torch.ones(count, 1, 1, dtype=torch.float64)
-    return RolloutBatch(ones, ones[:, :0], 0 * ones.repeat(1, horizon, 1), ones.repeat(1, horizon, 1))
+def measured(levels, inputs=None, noise=0.0, timestep=0.1):
+    """One run that is scored over all of it but its first sample, and from every start over less."""
+    levels = np.asarray(levels, dtype=float)[:, None]
+    inputs = np.zeros_like(levels) if inputs is None else np.asarray(inputs, dtype=float)[:, None]
+    run, seen = (Trajectory(timestep * np.arange(len(levels)), values, inputs) for values in (levels, levels + noise))
+    return ScoredRuns((run,), (seen,), timestep * (len(levels) - 2), 50, 0)
+
+
+def still(horizon=10, level=1.0, **options):
+    """Measurements that stay at one, or go from there to another level at the first step."""
+    return measured([1.0, 1.0, *[level] * horizon], **options)
+
+
+class Served(lightning.LightningDataModule):
+    """What is validated and tested on."""
+
+    def __init__(self, scored):
+        super().__init__()
+        self.scored = scored
+
+    def val_dataloader(self):
+        return torch.utils.data.DataLoader([self.scored], batch_size=None)
+
+    test_dataloader = val_dataloader
 
 
 def test_the_error_of_a_rollout_is_the_root_of_the_mean_square_over_the_horizon():
     expected = np.sqrt(np.mean((np.exp(-0.3 * 0.1 * np.arange(1, 11)) - 1) ** 2))
-    np.testing.assert_allclose(rollout_errors(constant_model(-0.3), still(3))[:, -1].detach(), expected, rtol=1e-9)
+    assert scores(constant_model(-0.3), still())["rmse"] == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_score_of_a_model_that_diverges_is_infinite_and_its_share_is_counted(tmp_path):
-    class Still(lightning.LightningDataModule):
-        def val_dataloader(self):
-            return torch.utils.data.DataLoader([still(4)], batch_size=None)
-
     trainer = TRAINER(default_root_dir=tmp_path)
     for rate, rmse, diverged in ((5.0, np.inf, 1.0), (0.0, 0.0, 0.0)):
-        (scores,) = trainer.validate(ModelFit(constant_model(rate)), Still(), verbose=False)
-        assert scores["validation/rmse"] == scores["validation/rmse_median"] == rmse
-        assert scores["validation/diverged"] == diverged
+        (found,) = trainer.validate(ModelFit(constant_model(rate)), Served(still()), verbose=False)
+        assert found["validation/rmse"] == found["validation/rmse_median"] == rmse
+        assert found["validation/diverged"] == diverged
     # e^{0.5 k} passes the bound of 10 at k = 5
-    assert rollout_errors(constant_model(5.0), still(1, horizon=4))[:, -1].isfinite().all()
-    assert rollout_errors(constant_model(5.0), still(1, horizon=5))[:, -1].isinf().all()
+    assert np.isfinite(scores(constant_model(5.0), still(horizon=4))["rmse"])
+    assert np.isinf(scores(constant_model(5.0), still(horizon=5))["rmse"])
 
 
 def test_a_model_that_diverges_under_inputs_stronger_than_recorded_scores_infinite_where_that_is_asked(tmp_path):
     """dz/dt = (u − 2) z decays under the recorded u = 1.5 and grows beyond all bounds under twice that."""
-    model = growing_under_inputs()
-    batch = still(4, horizon=30)
-    batch.inputs.fill_(1.5)
-    batch.outputs.fill_(0.5)
-
-    trainer, fit = TRAINER(default_root_dir=tmp_path), ModelFit(model)
-    (plain,) = trainer.validate(fit, Served(batch), verbose=False)
+    scored = still(30, 0.5, inputs=np.full(32, 1.5))
+    trainer, fit = TRAINER(default_root_dir=tmp_path), ModelFit(growing_under_inputs())
+    (plain,) = trainer.validate(fit, Served(scored), verbose=False)
     assert "validation/overdriven" not in plain and plain["validation/diverged"] == 0
+    assert np.isfinite(plain["validation/relative"])
     for factor, share, relative in ((1.3, 0.0, plain["validation/relative"]), (2.0, 1.0, np.inf)):
         fit.overdrive = factor
-        (scores,) = trainer.validate(fit, Served(batch), verbose=False)
-        assert scores["validation/overdriven"] == share and scores["validation/rmse"] == plain["validation/rmse"]
-        assert scores["validation/relative"] == relative > 0
+        (found,) = trainer.validate(fit, Served(scored), verbose=False)
+        assert found["validation/overdriven"] == share and found["validation/rmse"] == plain["validation/rmse"]
+        assert found["validation/relative"] == relative > 0
+        assert "test/overdriven" not in trainer.test(fit, Served(scored), verbose=False)[0]
 
 
 def test_inputs_played_faster_go_forwards_and_backwards_without_a_jump_and_fill_the_horizon():
-    ramp = torch.arange(7.0).reshape(1, 7, 1)
+    ramp = np.arange(7.0).reshape(1, 7, 1)
     assert hurried(ramp, 1).flatten().tolist() == list(range(7))
     assert hurried(ramp, 2).flatten().tolist() == [0, 2, 4, 6, 6, 4, 2]
     assert hurried(ramp, 3).flatten().tolist() == [0, 3, 6, 6, 3, 0, 0]
 
 
 def test_a_model_that_diverges_only_under_faster_inputs_scores_infinite_too(tmp_path):
-    """dz/dt = (u − 2) z: 27 steps of decay under u = 0 come before 3 of growth under u = 25, but 9 before 2 where the
-    inputs run three times as fast, and e^{0.1 (−2 · 9 + 23 · 2)} = 16 is beyond the bound of 10.
+    """dz/dt = (u − 2) z: 27 steps of decay under u = 0 come before 3 of growth under u = 17, but 9 before 2 where the
+    inputs run three times as fast, and e^{0.25 (−2 · 9 + 15 · 2)} = 20 is beyond the bound of 10.
     """
-    model = growing_under_inputs()
-    batch = still(4, horizon=30)
-    batch.inputs[:, -3:] = 25.0
-    batch.outputs.fill_(0.5)
-    trainer, fit = TRAINER(default_root_dir=tmp_path), ModelFit(model)
+    inputs = np.zeros(32)
+    inputs[-4:-1] = 17.0  # the last sample is held after the end
+    scored = still(30, 0.5, inputs=inputs, timestep=0.25)
+    trainer, fit = TRAINER(default_root_dir=tmp_path), ModelFit(growing_under_inputs(0.25))
     for speed, share in ((1, 0.0), (3, 1.0)):
         fit.overdrive, fit.overspeed = 1.01, speed
-        (scores,) = trainer.validate(fit, Served(batch), verbose=False)
-        assert scores["validation/overdriven"] == share
-        assert np.isinf(scores["validation/relative"]) == bool(share)
+        (found,) = trainer.validate(fit, Served(scored), verbose=False)
+        assert found["validation/overdriven"] == share
+        assert np.isinf(found["validation/relative"]) == bool(share)
+
+
+def filled(model):
+    """The model with small random coefficients everywhere."""
+    with torch.no_grad():
+        for table in model.parameters():
+            table.copy_(0.1 * torch.randn(table.shape, dtype=torch.float64))
+        model.state_scale.fill_(1.0)
+    return model
+
+
+MODELS = {
+    "SSMR": lambda: filled(SSMR(3, 2, 2, 2, dynamics_degree=2)),
+    "DMD at twice the sampling time": lambda: filled(Koopman(2, 2, timestep=0.02)),
+    "control-augmented": lambda: filled(ControlAugmentedSSMR(3, 2, 2, 2, dynamics_degree=2)),
+}
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_a_fit_is_scored_by_what_scores_every_model(tmp_path, kind):
+    rng, model = np.random.default_rng(1), MODELS[kind]()
+    runs = tuple(Trajectory(0.01 * np.arange(length), np.cumsum(0.01 * rng.normal(size=(length, 2)), axis=0),
+                            rng.normal(size=(length, 2))) for length in (400, 250, 90))
+    served = Served(ScoredRuns(runs, runs, 1.0, 60, 5))
+    (found,) = TRAINER(default_root_dir=tmp_path).test(ModelFit(model), served, verbose=False)
+    expected = score_open_loop(model, runs, starts=60, seed=5)
+    for name, label in (("rmse", "1 s"), ("rmse_200ms", "200 ms"), ("rmse_50ms", "50 ms")):
+        assert found[f"test/{name}"] == pytest.approx(expected[label].mean, rel=1e-12)
+    assert found["test/rmse_median"] == pytest.approx(expected["1 s"].median, rel=1e-12)
+    assert found["test/diverged"] == expected["1 s"].diverged
+    base = score_open_loop(persistence(model.timestep), runs, starts=60, seed=5, margin=expected.margin)
+    ratios = [expected[label].mean / base[label].mean for label in ("50 ms", "200 ms", "1 s")]
+    assert found["test/relative"] == pytest.approx(np.prod(ratios) ** (1 / 3), rel=1e-9)
+
+
+def test_a_horizon_that_holds_no_step_of_the_model_has_no_score():
+    found = scores(constant_model(-0.3), still())
+    assert "rmse_50ms" not in found and found["rmse_200ms"] < found["rmse"]
+
+
+def test_predictions_start_from_windows_with_noise_and_are_compared_with_what_was_measured():
+    """A model that stays where it starts, off by the noise of its start."""
+    noisy = measured(np.ones(12), noise=0.25)
+    assert scores(constant_model(0.0), noisy)["rmse"] == pytest.approx(0.25, rel=1e-12)

@@ -193,7 +193,7 @@ def test_the_dimension_follows_from_the_windows_that_the_model_sees(dataset, tmp
 
 
 def test_data_that_are_too_short_are_refused_before_any_fit(dataset, tmp_path):
-    with pytest.raises(ValueError, match="a horizon of 10000 samples need 10001 samples"):
+    with pytest.raises(ValueError, match="a start needs 1 before and 10000 after it, 10002 in all"):
         fitted(dataset, tmp_path, module=partial(MODULE, validation_horizon=100.0))
     with pytest.raises(ValueError, match="'decay-0' has 101 samples; a transient of 200 samples"):
         fitted(dataset, tmp_path, module=partial(MODULE, transient=2.0))
