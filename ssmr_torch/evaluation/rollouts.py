@@ -48,7 +48,8 @@ class Forecaster:
     """A predictor on a recording: (trajectory, sample) of N starts → predicted and measured outputs.
 
     stride, window_stride: samples per step of the model and per delay of its window. reach: samples that its
-    window needs before a start; margin: that, and one at least, for the velocity of a baseline. Raises ValueError when columns differ or a timestep is no whole multiple.
+    window needs before a start; margin: that, and one at least, for the velocity of a baseline. Raises ValueError
+    when columns differ or a timestep is no whole multiple.
     """
 
     def __init__(self, predictor: Predictor, recording: Recording):

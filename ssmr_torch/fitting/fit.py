@@ -17,6 +17,7 @@ from ssmr_torch.fitting.ssmr_least_squares import LeastSquaresModel
 from ssmr_torch.fitting.statistics import PENALTIES
 from ssmr_torch.models.base import ReducedModel
 
+
 def description(model: ReducedModel) -> dict:
     """Class path and constructor arguments, plain values that rebuild the model."""
     kind = type(model)
