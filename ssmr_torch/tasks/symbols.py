@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from importlib.util import find_spec
+import re
+from collections.abc import Iterator, Sequence
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
+from ssmr_torch.extras import require
 from ssmr_torch.tasks.references import Task, ramped_phase
 
 ARC_STEPS = 1440  # straight pieces of pacman's arc, whose length is then right to 1e-6
@@ -20,9 +22,9 @@ def symbol(text: str = "S", half_size: float = 0.020, duration: float = 10.0, ra
 
     The pen is never lifted: it closes each curve of `contours` and goes straight to the next, as fast as it draws.
     Scaled by one number until the longer side of the box around the text is 2 half_size, and centred on rest.
-    half_size in m; duration in s, the ways from and to rest included; ramp in s; font: a .ttf or .otf file, DejaVu
-    Sans by default; name: the text by default.   Raises ValueError for a size that is not positive, and as
-    `contours` and `constant_speed` do.
+    half_size in m; duration in s, the ways from and to rest included; ramp in s; font: a .ttf or .otf file (extra
+    plots), by default the package's outlines of DejaVu Sans, of Latin-1; name: the text by default.
+    Raises ValueError for a size that is not positive, and as `contours` and `constant_speed` do.
     """
     if not (np.isfinite(half_size) and half_size > 0):
         raise ValueError(f"the letters reach {half_size} m from their centre; expected a positive half_size in m")
@@ -84,37 +86,69 @@ def contours(text: str, font: str | None = None, steps: int = 64) -> list[np.nda
 
     The glyphs stand side by side by their advance widths, without kerning. Each Bézier curve of the font becomes
     `steps` straight pieces, which shortens it by a share of order 1 / steps².
-    Raises FileNotFoundError without the font; ValueError for a file that is none, for a character that it lacks, for
-    no steps and for a text that leaves nothing to draw.
+    Raises FileNotFoundError without the font; ModuleNotFoundError for a font without fontTools; ValueError for a file
+    that is none, for a character that it lacks, for no steps and for a text that leaves nothing to draw.
     """
     if not isinstance(text, str) or steps < 1:
         raise ValueError(f"the text is {text!r} and a curve has {steps} steps; expected a string (quote a number) "
                          "and at least 1")
-    # Only here: neither a controller nor another task shall have to wait for fontTools.
-    from fontTools.ttLib import TTFont, TTLibError
-
-    file = _font_file(font)
-    try:
-        source = TTFont(file)
-    except TTLibError as problem:
-        raise ValueError(f"{file} is not a font ({problem}); expected a .ttf or .otf file with one face") from problem
-    with source:
-        names, glyphs, curves, advance = source.getBestCmap() or {}, source.getGlyphSet(), [], 0.0
-        missing = sorted({character for character in text if ord(character) not in names})
-        if missing:
-            raise ValueError(f"{file.name} has no glyph for {', '.join(map(repr, missing))} of the text {text!r}; "
-                             "leave them out or give a font that has them")
-        for character in text:
-            glyph = glyphs[names[ord(character)]]
-            curves += [curve + (advance, 0.0) for curve in _flattened(glyph, glyphs, steps)]
-            advance += glyph.width
+    glyphs = dict(_package_glyphs(text, steps) if font is None else _font_glyphs(text, Path(font), steps))
+    missing = sorted(set(text) - set(glyphs))
+    if missing:
+        whose = "the package's DejaVu Sans" if font is None else Path(font).name
+        raise ValueError(f"{whose} has no glyph for {', '.join(map(repr, missing))} of the text {text!r}; leave them "
+                         "out or give font, a .ttf or .otf file that has them")
+    curves, advance = [], 0.0
+    for character in text:
+        drawn, width = glyphs[character]
+        curves += [curve + (advance, 0.0) for curve in drawn]
+        advance += width
     if not curves:
         raise ValueError(f"the text {text!r} leaves nothing to draw; give at least one letter")
     return curves
 
 
+Glyph = tuple[str, tuple[list[np.ndarray], float]]  # a character, its closed contours and its advance width
+
+
+def _package_glyphs(text: str, steps: int) -> Iterator[Glyph]:
+    """Those of the text's characters of which the package has outlines (experiments/fonts/make_outlines.py)."""
+    fractions = np.arange(1, steps + 1)[:, None] / steps
+    for line in files("ssmr_torch.tasks").joinpath("dejavu_sans.txt").read_text(encoding="utf-8").splitlines():
+        if line[1:2] != "\t" or line[0] not in text:
+            continue
+        character, width, path = line.split("\t")
+        drawn = []
+        for command, numbers in re.findall("([MLQ])([^MLQ]*)", path):
+            points = np.array(numbers.split(), dtype=np.float64).reshape(-1, 2)
+            if command == "M":
+                drawn.append([])
+            drawn[-1].extend(_bezier(fractions, drawn[-1][-1], *points) if command == "Q" else points)
+        yield character, (_closed(drawn), float(width))
+
+
+def _font_glyphs(text: str, file: Path, steps: int) -> Iterator[Glyph]:
+    """Those of the text's characters that the font has."""
+    if not file.is_file():
+        raise FileNotFoundError(f"there is no font {file}; give a .ttf or .otf file, or leave the font out for "
+                                "the package's DejaVu Sans")
+    require("fontTools")
+    # Only here: neither a controller nor another task shall have to wait for fontTools.
+    from fontTools.ttLib import TTFont, TTLibError
+
+    try:
+        source = TTFont(file)
+    except TTLibError as problem:
+        raise ValueError(f"{file} is not a font ({problem}); expected a .ttf or .otf file with one face") from problem
+    with source:
+        names, glyphs = source.getBestCmap() or {}, source.getGlyphSet()
+        for character in set(text) & set(map(chr, names)):
+            glyph = glyphs[names[ord(character)]]
+            yield character, (_flattened(glyph, glyphs, steps), glyph.width)
+
+
 def _flattened(glyph, glyphs, steps: int) -> list[np.ndarray]:
-    """The closed contours of one glyph, each curve in `steps` straight pieces; a contour of one point is none."""
+    """The closed contours of one glyph, each curve in `steps` straight pieces."""
     from fontTools.pens.basePen import BasePen
 
     fractions = np.arange(1, steps + 1)[:, None] / steps
@@ -136,6 +170,11 @@ def _flattened(glyph, glyphs, steps: int) -> list[np.ndarray]:
             drawn[-1].extend(_bezier(fractions, self._getCurrentPoint(), first, second, end))
 
     glyph.draw(Pen(glyphs))
+    return _closed(drawn)
+
+
+def _closed(drawn: Sequence) -> list[np.ndarray]:
+    """Each contour with its first point at the end as well; a contour of one point is none."""
     closed = [np.array([*contour, contour[0]], dtype=np.float64) for contour in drawn]
     return [contour for contour in closed if np.ptp(contour, axis=0).any()]
 
@@ -146,19 +185,3 @@ def _bezier(t: np.ndarray, *controls: Sequence[float]) -> np.ndarray:
     while len(points) > 1:
         points = [(1 - t) * start + t * end for start, end in zip(points, points[1:])]
     return points[0]
-
-
-def _font_file(font: str | None) -> Path:
-    """The given file, or DejaVu Sans of an installed matplotlib, which is not imported for it."""
-    if font is not None:
-        file, remedy = Path(font), "give a .ttf or .otf file, or leave the font out for matplotlib's DejaVu Sans"
-    else:
-        found = find_spec("matplotlib")
-        if found is None:
-            raise FileNotFoundError("DejaVu Sans comes with matplotlib, which is not installed; "
-                                    "install it or give font, a .ttf or .otf file")
-        file = Path(found.submodule_search_locations[0], "mpl-data", "fonts", "ttf", "DejaVuSans.ttf")
-        remedy = "this matplotlib has no fonts of its own; give font, a .ttf or .otf file"
-    if not file.is_file():
-        raise FileNotFoundError(f"there is no font {file}; {remedy}")
-    return file

@@ -183,13 +183,22 @@ def test_sizes_times_and_outputs_without_meaning_are_refused(build, message):
         build()
 
 
-def test_neither_matplotlib_nor_an_early_import_of_fonttools_is_needed():
-    code = ("import sys, ssmr_torch.tasks.symbols as symbols; assert 'fontTools' not in sys.modules; "
-            "symbols.symbol(); assert 'fontTools' in sys.modules and 'matplotlib' not in sys.modules")
+def test_the_packages_outlines_are_those_of_dejavu_sans_to_the_last_digit():
+    fonts = pytest.importorskip("matplotlib", reason="matplotlib brings the font").get_data_path()
+    latin = "".join(chr(code) for code in (*range(0x20, 0x7F), *range(0xA1, 0x100)) if code != 0xAD)
+    own, read = contours(latin, steps=3), contours(latin, f"{fonts}/fonts/ttf/DejaVuSans.ttf", steps=3)
+    assert len(own) == len(read) > 250
+    for outline, expected in zip(own, read):
+        np.testing.assert_array_equal(outline, expected)
+
+
+def test_neither_matplotlib_nor_fonttools_is_needed_where_no_font_is_given():
+    code = ("import sys; sys.modules['fontTools'] = sys.modules['matplotlib'] = None; "
+            "from ssmr_torch.tasks.symbols import symbol; symbol(); symbol('ETH'); symbol('é')")
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_without_matplotlib_a_font_has_to_be_given(monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(FileNotFoundError, match="give font"):
-        symbol()
+def test_without_fonttools_a_font_is_refused_with_what_to_install(circle_font, monkeypatch):
+    monkeypatch.setitem(sys.modules, "fontTools", None)
+    with pytest.raises(ModuleNotFoundError, match=r"fontTools is not installed: pip install 'ssmr_torch\[plots\]'"):
+        symbol("O", font=circle_font)
