@@ -8,6 +8,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from ssmr_torch.experiments.entry import entry_point, save_json, save_result
+from ssmr_torch.extras import require
 
 
 def objective(config, scores):
@@ -45,6 +46,8 @@ def main(config, directory):
 
     if config.metric.startswith("test/"):
         raise ValueError(f"metric is {config.metric!r}; models are chosen by validation, never by the test runs")
+    if "wandb" in config.logger:
+        require("wandb")
     lightning.seed_everything(config.seed, workers=True, verbose=False)
     dataset = instantiate(config.data).observing(config.outputs)
     further = further_runs(config, dataset)

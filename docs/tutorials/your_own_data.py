@@ -65,21 +65,20 @@ def write(path, run, rest):
 
 # --8<-- [start:commands]
 COMMANDS = """
-train.py data=custom data.card=robot/card.yaml model=ssmr logger=csv hydra.run.dir=train/ssmr
-train.py data=custom data.card=robot/card.yaml model=sssr logger=csv hydra.run.dir=train/sssr
-export.py checkpoint=train/ssmr/model.ckpt artifact=SSMR
-export.py checkpoint=train/sssr/model.ckpt artifact=SSSR
-evaluate.py artifact=[SSMR,SSSR] data=custom data.card=robot/card.yaml hydra.run.dir=evaluate
-control.py artifact=SSMR task=letter observer@controller.observer=output_disturbance hydra.run.dir=control/ssmr
-control.py artifact=SSSR task=letter observer@controller.observer=output_disturbance hydra.run.dir=control/sssr
-report.py directory=.
+ssmr train data=custom data.card=robot/card.yaml model=ssmr hydra.run.dir=train/ssmr
+ssmr train data=custom data.card=robot/card.yaml model=sssr hydra.run.dir=train/sssr
+ssmr export checkpoint=train/ssmr/model.ckpt artifact=SSMR
+ssmr export checkpoint=train/sssr/model.ckpt artifact=SSSR
+ssmr evaluate artifact=[SSMR,SSSR] data=custom data.card=robot/card.yaml hydra.run.dir=evaluate
+ssmr control artifact=SSMR task=letter observer@controller.observer=output_disturbance hydra.run.dir=control/ssmr
+ssmr control artifact=SSSR task=letter observer@controller.observer=output_disturbance hydra.run.dir=control/sssr
+ssmr report directory=.
 """
 # --8<-- [end:commands]
 
 
 def run(command, folder):
-    script, *options = command.split()
-    done = subprocess.run([sys.executable, str(ROOT / "experiments" / script), *options], cwd=folder,
+    done = subprocess.run([Path(sys.executable).with_name("ssmr"), *command.split()[1:]], cwd=folder,
                           capture_output=True, text=True)
     if done.returncode:
         raise RuntimeError(f"{command}\n{done.stdout}{done.stderr}")
@@ -117,7 +116,7 @@ def main(directory=FIGURES, folder=ROOT / "outputs" / "tutorial", quick=False):
     (folder / "robot").mkdir(parents=True, exist_ok=True)
     record(folder / "robot", **({"duration": 12.0} if quick else {}))
     for command in COMMANDS.strip().splitlines():
-        print(f"python experiments/{command}\n{run(command, folder)}")
+        print(f"{command}\n{run(command, folder)}")
     draw(folder, directory)
     return found(folder)
 
