@@ -115,7 +115,7 @@ def _serve(options) -> None:
     from ssmr_torch.wire.serving import serve
 
     if options.artifact is None:
-        raise ValueError("give the directory of an artifact, such as one of ssmr export")
+        raise ValueError("give the directory of an artifact, such as ssmr export writes")
     loaded, settings = artifact.load(options.artifact), _settings(options.settings)
     task = build(settings["task"])
     make = controller_for(loaded, lambda model, bounds, **more: build(settings["controller"], model, task, bounds,
