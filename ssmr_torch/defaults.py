@@ -106,6 +106,8 @@ def _resolved(module: Module, name: str) -> tuple[Module, ast.AST]:
     if node is None:
         raise Unreadable(f"{module.name}.{name}")
     if isinstance(node, ast.ImportFrom) and not node.level:
+        if node.module == module.name:  # a package that imports its own modules, as torch does
+            raise Unreadable(f"{module.name}.{name}")
         original = next(alias.name for alias in node.names if (alias.asname or alias.name) == name)
         return _resolved(module_named(node.module), original)
     if isinstance(node, ast.Name):
