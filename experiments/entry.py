@@ -6,7 +6,6 @@ import json
 import logging
 import os
 import sys
-import warnings
 from pathlib import Path
 
 import hydra
@@ -16,6 +15,7 @@ from hydra.types import RunMode
 from omegaconf import OmegaConf
 
 from ssmr_torch.extras import remedy
+from ssmr_torch.silence import quiet
 
 OmegaConf.register_new_resolver("upper", str.upper, replace=True)
 
@@ -70,13 +70,6 @@ def keep_memory() -> None:
     if mallopt:
         for parameter in (M_MMAP_THRESHOLD, M_TRIM_THRESHOLD):
             mallopt(parameter, 1 << 30)
-
-
-def quiet() -> None:
-    """Silence what Lightning says about absent hardware and its services, and deprecations inside it."""
-    logging.getLogger("lightning.pytorch.utilities.rank_zero").setLevel(logging.WARNING)
-    for message in (".*LeafSpec", ".*torch.jit.script", ".*does not have many workers", ".*Checkpoint directory"):
-        warnings.filterwarnings("ignore", message)
 
 
 def save_json(path: Path, content: dict) -> None:
