@@ -15,10 +15,10 @@ from ssmr_torch.fitting.exact import ExactSolve
 from ssmr_torch.fitting.scores import diverged_under_stress, scores
 from ssmr_torch.fitting.ssmr_least_squares import LeastSquaresModel
 from ssmr_torch.fitting.statistics import PENALTIES
-from ssmr_torch.models.base import ReducedModel
+from ssmr_torch.models.torch_model import TorchModel
 
 
-def description(model: ReducedModel) -> dict:
+def description(model: TorchModel) -> dict:
     """Class path and constructor arguments, plain values that rebuild the model."""
     kind = type(model)
     return {"class": f"{kind.__module__}.{kind.__qualname__}", "arguments": model.arguments}
@@ -39,7 +39,7 @@ class ModelFit(lightning.LightningModule):
     selects, monitor = False, "validation/rmse"
     overdrive, overspeed = 1.0, 1
 
-    def __init__(self, model: ReducedModel):
+    def __init__(self, model: TorchModel):
         super().__init__()
         self.model = model
         self.card: dict = {}

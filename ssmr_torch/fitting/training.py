@@ -2,32 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from inspect import signature
 from pathlib import Path
 from time import perf_counter
+from types import MappingProxyType
 
 import lightning
 import numpy as np
+import torch
 from lightning.pytorch.callbacks import ModelCheckpoint
 
 from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.data.derivatives import Stencil
 from ssmr_torch.fitting.checkpoints import check_resumable, load_model, save_model
+from ssmr_torch.fitting.constructors import check_call, default_of, sized_model
 from ssmr_torch.fitting.control_augmented_least_squares import ControlAugmentedLeastSquares
 from ssmr_torch.fitting.diagnosis import diagnose
-from ssmr_torch.fitting.dimension import choose_dimension
 from ssmr_torch.fitting.fit import LeastSquaresFit, ModelFit
 from ssmr_torch.fitting.koopman_least_squares import KoopmanLeastSquares
 from ssmr_torch.fitting.neural_ode_start import NeuralODEStart
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
-from ssmr_torch.models.base import ReducedModel
+from ssmr_torch.keywords import configurable
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.models.neural_ode import NeuralODE
 from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.models.torch_model import TorchModel
 from ssmr_torch.trajectory import TrajectoryDataset
+
+# λ to choose from by cross-validation; by the name of a regression, "default" for those not named.
+RIDGES = MappingProxyType({"default": (0.0, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)})
+FINE_RIDGES = MappingProxyType({"default": (0.0, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)})
+
+TRAINER = ("max_epochs", "callbacks", "logger", "num_sanity_val_steps", "check_val_every_n_epoch")
+SCALES = ("state_scale", "scale")  # buffers of models that measure the data, and are no parameters
 
 
 @dataclass(frozen=True)
@@ -37,7 +46,7 @@ class Training:
     cost: see `cost_of`, and fit_time, s, of the fits without the scoring after them.
     """
 
-    model: ReducedModel
+    model: TorchModel
     checkpoint: Path
     scores: dict[str, float]
     cost: dict[str, float]
@@ -58,38 +67,44 @@ class Training:
         return "\n".join([*lines, f"checkpoint: {self.checkpoint}"])
 
 
-def least_squares(model: SSMR, *, ridge=0.0, folds: int = 5, derivative: Stencil | None = None,
-                  **options) -> LeastSquaresFit:
+@configurable(SSMRLeastSquares)
+def least_squares(model: SSMR, *, ridge: float | Sequence | Mapping = FINE_RIDGES, folds: int = 5,
+                  derivative: Stencil | None = None, **options) -> LeastSquaresFit:
     """Closed-form fit of an SSMR; options as in `SSMRLeastSquares`, ridge and folds as in `LeastSquaresFit`."""
     return LeastSquaresFit(SSMRLeastSquares(model, derivative=derivative, **options), ridge, folds)
 
 
-def control_augmented_least_squares(model: ControlAugmentedSSMR, *, ridge=0.0, folds: int = 5,
-                                    **options) -> LeastSquaresFit:
+@configurable(ControlAugmentedLeastSquares)
+def control_augmented_least_squares(model: ControlAugmentedSSMR, *, ridge: float | Sequence | Mapping = RIDGES,
+                                    folds: int = 5, **options) -> LeastSquaresFit:
     """Closed-form fit of a control-augmented SSMR; options as in `ControlAugmentedLeastSquares`."""
     return LeastSquaresFit(ControlAugmentedLeastSquares(model, **options), ridge, folds)
 
 
-def koopman_least_squares(model: Koopman, *, ridge=0.0, folds: int = 5, penalty: str = "ridge",
-                          kinds: tuple[str, ...] = ("decay", "controlled")) -> LeastSquaresFit:
-    """Closed-form fit of a Koopman model; kinds as in `KoopmanLeastSquares`, the rest as in `LeastSquaresFit`."""
-    return LeastSquaresFit(KoopmanLeastSquares(model, kinds=kinds), ridge, folds, penalty)
+@configurable(KoopmanLeastSquares)
+def koopman_least_squares(model: Koopman, *, ridge: float | Sequence | Mapping = FINE_RIDGES, folds: int = 5,
+                          penalty: str = "ridge", **options) -> LeastSquaresFit:
+    """Closed-form fit of a Koopman model; options as in `KoopmanLeastSquares`, the rest as in `LeastSquaresFit`."""
+    return LeastSquaresFit(KoopmanLeastSquares(model, **options), ridge, folds, penalty)
 
 
-def neural_ode_start(model: NeuralODE, *, ridge=0.0, folds: int = 5, derivative: Stencil | None = None,
-                     **options) -> LeastSquaresFit:
+@configurable(SSMRLeastSquares)
+def neural_ode_start(model: NeuralODE, *, ridge: float | Sequence | Mapping = RIDGES, folds: int = 5,
+                     derivative: Stencil | None = None, **options) -> LeastSquaresFit:
     """Closed-form start of a neural ODE; options as in `SSMRLeastSquares`."""
     return LeastSquaresFit(NeuralODEStart(model, derivative=derivative, **options), ridge, folds)
 
 
-def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
+def train(dataset: TrajectoryDataset, *, model: Callable[..., TorchModel],
           fits: Mapping[str, Callable[..., ModelFit]], module: Callable[..., TrajectoryDataModule],
           trainer: Callable[..., lightning.Trainer], directory: str | Path, name: str = "SSMR",
           loggers: list | bool = False, resume: bool = False, origin: dict | None = None) -> Training:
     """Fit one model by each of `fits` in turn, score it, and say what the fit found.
 
-    name: of the model, in tables and figures. model: constructor that still misses input_dim, output_dim and
-    timestep, which the data give; its state_dim, if it takes one, is a number or a rule of `choose_dimension`.
+    name: of the model, in tables and figures. model, fits, module, trainer: any callables, a class, a function or a
+    functools.partial of one. model: takes input_dim, output_dim and timestep by keyword, see `sized_model`; its
+    state_dim, if it takes one, has a default, a number or a rule of `choose_dimension`. fits: take the model. module:
+    takes the dataset by keyword; trainer: the settings `TRAINER` of Lightning's.
     Checkpoints go to directory/checkpoints/FIT, of a refinement the best by validation error, of a closed form the
     last; a refinement that does not lower the validation error is undone, and a fit that is given 0 epochs left out.
     The fitted model goes to directory/model.ckpt. resume: continue from the checkpoints already there. origin:
@@ -98,15 +113,21 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
     Raises ValueError for data or options that cannot be fitted, before any work.
     """
     directory = Path(directory)
-    fits = {step: build for step, build in fits.items() if getattr(build, "keywords", {}).get("epochs") != 0}
+    for step, build in fits.items():
+        check_call(f"fits[{step!r}]", build, "the model")
+    check_call("module", module, dataset=dataset)
+    check_call("trainer", trainer, **dict.fromkeys(TRAINER))
+    fits = {step: build for step, build in fits.items() if default_of(step, build, "epochs") != 0}
     prepared = module(dataset=dataset)
-    reduced = _sized(model, dataset, prepared)
+    reduced = sized_model(model, dataset, prepared)
     card = data_card(dataset, prepared.training) | {"name": name, "training": origin or {}}
     if resume:
         check_resumable(directory / "checkpoints", tuple(fits), card["training"])
     scores, report, fit_time = {}, {}, 0.0
     for step, build in fits.items():
         fit = build(reduced)
+        if fit.epochs == 0:
+            continue
         fit.card, fit.overdrive, fit.overspeed = card, prepared.overdrive, prepared.overspeed
         scores, undone, duration = _run(fit, prepared.prepare(fit), trainer, directory / "checkpoints" / step, loggers,
                                         resume)
@@ -118,33 +139,21 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., ReducedModel],
     return Training(reduced, checkpoint, scores, cost, report)
 
 
-def cost_of(model: ReducedModel, module: TrajectoryDataModule) -> dict[str, float]:
-    """What a model takes: state_dim, parameters (numbers in its tables that are not zero, scales and geometry aside),
-    decays, controlled_samples (of the training), and step_time, s, the median of a linearized step of its NumPy twin.
+def cost_of(model: TorchModel, module: TrajectoryDataModule) -> dict[str, float]:
+    """What a model takes: state_dim, parameters (stored numbers that are not zero, `SCALES` aside), decays,
+    controlled_samples (of the training), and step_time, s, the median of a linearized step in NumPy.
     """
-    tables, z, u = model.tables(), np.zeros(model.state_dim), np.zeros(model.input_dim)
+    reduced, z, u = model.reduced.numpy(), np.zeros(model.state_dim), np.zeros(model.input_dim)
     times = []
     for _ in range(30):
         start = perf_counter()
-        tables.linearize(z, u)
+        reduced.linearize(z, u)
         times.append(perf_counter() - start)
-    stored = [getattr(tables, name) for name in tables.array_names() if name not in ("state_scale", "scale")]
-    return {"state_dim": float(model.state_dim), "parameters": float(sum(np.count_nonzero(table) for table in stored)),
+    stored = [table for name, table in model.state_dict().items() if name not in SCALES]
+    return {"state_dim": float(model.state_dim), "parameters": float(sum(map(torch.count_nonzero, stored))),
             "decays": float(sum(run.kind == "decay" for run in module.training)),
             "controlled_samples": float(sum(run.length for run in module.training if run.kind == "controlled")),
             "step_time": float(np.median(times))}
-
-
-def _sized(model: Callable[..., ReducedModel], dataset: TrajectoryDataset,
-           module: TrajectoryDataModule) -> ReducedModel:
-    """The model with what the data give; its own timestep, where it names one, and no state_dim where none is asked."""
-    given = {"input_dim": dataset.input_dim, "output_dim": dataset.output_dim,
-             "timestep": model.keywords.get("timestep") or dataset.timestep}
-    if "state_dim" in model.keywords:
-        decays = [run for run in module.training if run.kind == "decay"] or list(module.training)
-        given["state_dim"] = choose_dimension(model.keywords["state_dim"], decays,
-                                              signature(model).parameters["delays"].default, module.transient)
-    return model(**given)
 
 
 def data_card(dataset: TrajectoryDataset, training: tuple) -> dict:

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from ssmr_torch.data.datamodule import TrajectoryDataModule
-from ssmr_torch.fitting import training as module
+from ssmr_torch.fitting import constructors
 from ssmr_torch.fitting.gradient_fit import GradientFit
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.fitting.training import least_squares, load_model, save_model, train
@@ -21,7 +21,8 @@ from ssmr_torch.trajectory import TrajectoryDataset
 TRAINER = partial(lightning.Trainer, accelerator="cpu", devices=1, use_distributed_sampler=False,
                   enable_model_summary=False, enable_progress_bar=False)
 MODEL = partial(SSMR, state_dim=2, delays=0, parametrization_degree=2, dynamics_degree=3)
-MODULE = partial(TrajectoryDataModule, rows=64, validation_horizon=0.1, rollout_horizon=0.1, starts=20, stride=2)
+MODULE = partial(TrajectoryDataModule, transient=0.0, validation_share=0.1, rows=64, validation_horizon=0.1,
+                 rollout_horizon=0.1, starts=20, stride=2)
 CLOSED_FORM = {"closed_form": partial(least_squares, ridge=[0.0, 1e-8])}
 TABLES = ("chart", "parametrization", "drift_table", "control_table", "state_scale")
 
@@ -186,7 +187,7 @@ def test_a_fit_without_validation_and_test_runs_is_kept_all_the_same(known, data
 @pytest.mark.parametrize("rule", ["gap", "variance:0.9"])
 def test_the_dimension_follows_from_the_windows_that_the_model_sees(dataset, tmp_path, rule, monkeypatch):
     seen = []
-    monkeypatch.setattr(module, "choose_dimension", lambda *arguments: seen.append(arguments) or 2)
+    monkeypatch.setattr(constructors, "choose_dimension", lambda *arguments: seen.append(arguments) or 2)
     fitted(dataset, tmp_path, model=partial(SSMR, state_dim=rule, dynamics_degree=1))
     ((given, runs, delays, transient),) = seen
     assert (given, delays, transient) == (rule, 1, 0.0) and {run.kind for run in runs} == {"decay"}
@@ -271,8 +272,8 @@ from ssmr_torch.trajectory import TrajectoryDataset
 train(TrajectoryDataset.load(sys.argv[1]), directory=sys.argv[2],
       fits={"closed_form": partial(least_squares, ridge=[0.0, 1e-8]), "refinement": partial(GradientFit, epochs=1)},
       model=partial(SSMR, state_dim=2, delays=0, parametrization_degree=2, dynamics_degree=3),
-      module=partial(TrajectoryDataModule, rows=int(sys.argv[3]), validation_horizon=0.1, rollout_horizon=0.1,
-                     starts=20, stride=2),
+      module=partial(TrajectoryDataModule, transient=0.0, validation_share=0.1, rows=int(sys.argv[3]),
+                     validation_horizon=0.1, rollout_horizon=0.1, starts=20, stride=2),
       trainer=partial(lightning.Trainer, accelerator="cpu", devices=2, strategy="ddp",
                       use_distributed_sampler=sys.argv[4] == "sampler", enable_model_summary=False,
                       enable_progress_bar=False))
