@@ -1,11 +1,12 @@
 """A deployable model: a directory with tables, a card, and a reference prediction that loading replays.
 
-    tables.safetensors     the coefficient tables, float64
+    tables.safetensors     the arrays, float64, and the structure in its metadata
     reference.safetensors  seeded windows, states and inputs, and what the model made of them
     card.json              kind, shapes, units, sampling time, provenance, scores
     deployed/              where asked for: the model in C, as Torch programs, as ONNX graphs; see docs/deployment.md
 
-Loading needs NumPy and safetensors only, and never unpickles anything.
+Loading needs NumPy and safetensors only, and never unpickles anything. A family of models from outside is found by its
+class, which must be installed where the artifact is loaded.
 """
 
 from __future__ import annotations
@@ -14,23 +15,26 @@ import hashlib
 import json
 import os
 import shutil
+import tempfile
 from collections.abc import Callable
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save_file
 
-from ssmr_torch.models.control_augmented_tables import ControlAugmentedTables
-from ssmr_torch.models.koopman_tables import KoopmanTables
-from ssmr_torch.models.neural_tables import NeuralTables
-from ssmr_torch.models.polynomial_tables import PolynomialTables
-from ssmr_torch.models.tables import ModelTables
-from ssmr_torch.models.tpwl_tables import TPWLTables
+from ssmr_torch.models.base import Model, named
 
-KINDS: dict[str, type[ModelTables]] = {"polynomial": PolynomialTables, "control-augmented": ControlAugmentedTables,
-                                     "koopman": KoopmanTables, "neural ODE": NeuralTables, "TPWL": TPWLTables}
-FORMAT = "ssmr_torch artifact 2"
+FORMAT = "ssmr_torch artifact 3"
+# Kinds of the format before, of versions up to 0.7: what takes their tables.
+BEFORE = "ssmr_torch artifact 2"
+KINDS_BEFORE = {"polynomial": "ssmr_torch.models.structures:spectral_submanifold",
+                "control-augmented": "ssmr_torch.models.structures:control_augmented",
+                "koopman": "ssmr_torch.models.structures:koopman",
+                "neural ODE": "ssmr_torch.models.neural:NeuralModel",
+                "TPWL": "ssmr_torch.models.piecewise_linear:PiecewiseLinearModel"}
 REPLAY_TOLERANCE = 1e-9
 DEPLOYED = "deployed"
 _HASHED = ("tables.safetensors", "reference.safetensors")
@@ -40,17 +44,18 @@ _HASHED = ("tables.safetensors", "reference.safetensors")
 class Artifact:
     """A loaded model and its card."""
 
-    model: ModelTables
+    model: Model
     card: dict
 
 
-def save(directory: str | Path, model: ModelTables, *, output_names, input_names, rest, input_range,
+def save(directory: str | Path, model: Model, *, output_names, input_names, rest, input_range,
          input_unit: str = "N", name: str = "SSMR", provenance: dict | None = None,
-         scores: dict | None = None, cost: dict | None = None,
+         scores: dict | None = None, cost: dict | None = None, sampling_time: float | None = None,
          complete: Callable[[Path], object] | None = None) -> Path:
     """Write the artifact aside and move it into place; an artifact already there is replaced whole.
 
-    output_names (p,), input_names (m,), rest (p,) m, input_range (2, m): what the model was trained on.
+    model: NumPy arrays. output_names (p,), input_names (m,), rest (p,) m, input_range (2, m): what it was trained on;
+    sampling_time: s, of the recordings, default the window_timestep.
     scores, cost: plain numbers; one that is not finite, of rollouts that diverge, is stored as null.
     complete: called with the directory while it is still aside, to add to it; what it raises leaves all as it was.
     Raises ValueError when these disagree with the model, a table is not finite, or the directory holds other files.
@@ -59,31 +64,28 @@ def save(directory: str | Path, model: ModelTables, *, output_names, input_names
     rest, bounds = np.asarray(rest, dtype=np.float64), np.asarray(input_range, dtype=np.float64)
     _validate(model, output_names, input_names, rest, bounds)
     _refuse_foreign(directory)
-    card = {"format": FORMAT, "kind": _kind_of(model), "name": name,
-            "model": {scalar: getattr(model, scalar) for scalar in model.scalar_names()}
-            | {"state_dim": model.state_dim},
+    plain = {key: value for key, value in model.plain().items() if isinstance(value, (int, float, str, type(None)))}
+    card = {"format": FORMAT, "kind": model.kind, "class": _class_of(model), "name": name,
+            "model": plain | {"state_dim": model.state_dim},
             "geometry": model.geometry, "units": {"length": "m", "time": "s", "input": input_unit},
+            "sampling_time": model.window_timestep if sampling_time is None else float(sampling_time),
             "output_names": list(output_names), "input_names": list(input_names), "rest": rest.tolist(),
             "input_range": bounds.tolist(), "provenance": provenance or {},
             "scores": {key: value if np.isfinite(value) else None for key, value in (scores or {}).items()},
             "cost": cost or {}}
-    aside = directory.with_name(directory.name + ".part")
-    shutil.rmtree(aside, ignore_errors=True)
-    aside.mkdir(parents=True)
-    save_file({table: np.ascontiguousarray(getattr(model, table)) for table in model.array_names()},
-              aside / "tables.safetensors")
-    reference = _reference_inputs(model, bounds)
-    save_file(reference | _predict(model, reference), aside / "reference.safetensors")
-    card["sha256"] = {name: hashlib.sha256((aside / name).read_bytes()).hexdigest() for name in _HASHED}
-    (aside / "card.json").write_text(json.dumps(card, indent=2, allow_nan=False) + "\n")
-    if complete is not None:
-        complete(aside)
-    _replace(aside, directory)
+    with _replacing(directory) as aside:
+        _save_tables(aside / "tables.safetensors", model)
+        reference = _reference_inputs(model, bounds)
+        save_file(reference | _predict(model, reference), aside / "reference.safetensors")
+        card["sha256"] = {name: hashlib.sha256((aside / name).read_bytes()).hexdigest() for name in _HASHED}
+        (aside / "card.json").write_text(json.dumps(card, indent=2, allow_nan=False) + "\n")
+        if complete is not None:
+            complete(aside)
     return directory
 
 
 def load(directory: str | Path) -> Artifact:
-    """Load an artifact and replay its reference prediction.
+    """Load an artifact and replay its reference prediction; those of versions up to 0.7 as well.
 
     Raises FileNotFoundError when it is not there, ValueError when it is damaged, of another format, or no longer
     predicts what it did when it was written (the message says by how much).
@@ -97,18 +99,80 @@ def load(directory: str | Path) -> Artifact:
         raise ValueError(f"{directory / 'card.json'} is not valid JSON ({error}); export the model again") from error
     if not isinstance(card, dict) or not {"format", "kind", "model", "sha256"} <= card.keys():
         raise ValueError(f"{directory / 'card.json'} is not the card of an artifact; export the model again")
-    if card["format"] != FORMAT or card["kind"] not in KINDS:
-        raise ValueError(f"{directory} has format {card['format']!r} and kind {card['kind']!r}; "
-                         f"this version reads {FORMAT!r} of the kinds {sorted(KINDS)}")
+    if card["format"] not in (FORMAT, BEFORE) or (card["format"] == BEFORE and card["kind"] not in KINDS_BEFORE):
+        raise ValueError(f"{directory} has format {card['format']!r} and kind {card['kind']!r}; this version reads "
+                         f"{FORMAT!r}, and {BEFORE!r} of the kinds {sorted(KINDS_BEFORE)}")
     for path in (directory / name for name in _HASHED):
         if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != card["sha256"].get(path.name):
             raise ValueError(f"{path} is missing or differs from what the card records; export the model again")
-    kind = KINDS[card["kind"]]
-    # a setting that is newer than the artifact has a default: what it was then
-    model = kind(**load_file(directory / "tables.safetensors"),
-                 **{scalar: card["model"][scalar] for scalar in kind.scalar_names() if scalar in card["model"]})
+    if card["format"] == BEFORE:
+        # a setting that is newer than the artifact has a default: what it was then
+        settings = {name: value for name, value in card["model"].items() if name != "state_dim"}
+        model = named(KINDS_BEFORE[card["kind"]])(**load_file(directory / "tables.safetensors"), **settings)
+    else:
+        model = _load_tables(directory / "tables.safetensors")[0]
     _replay(directory, model)
     return Artifact(model, card)
+
+
+def save_twin(checkpoint: str | Path, model: Model, card: dict) -> Path:
+    """The model of a checkpoint beside it, as FILE.safetensors, for who has no Torch; see `load_twin`."""
+    path = _twin(checkpoint)
+    aside = path.with_name(f"{path.name}.{os.getpid()}.part")
+    _save_tables(aside, model, card=json.dumps(card), checkpoint=_sha256(checkpoint))
+    os.replace(aside, path)
+    return path
+
+
+def load_twin(checkpoint: str | Path) -> tuple[Model, dict] | None:
+    """The model that lies beside a checkpoint, and its card; None where there is none, or the checkpoint is another."""
+    path = _twin(checkpoint)
+    if not (path.is_file() and Path(checkpoint).is_file()):
+        return None
+    try:
+        model, noted = _load_tables(path)
+        return (model, json.loads(noted["card"])) if noted["checkpoint"] == _sha256(checkpoint) else None
+    except (ValueError, KeyError):
+        return None
+
+
+def _twin(checkpoint: str | Path) -> Path:
+    return Path(checkpoint).with_suffix(".safetensors")
+
+
+def _sha256(path: str | Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _class_of(model: Model) -> str:
+    return f"{type(model).__module__}:{type(model).__qualname__}"
+
+
+def _save_tables(path: Path, model: Model, **noted: str) -> None:
+    save_file({name: np.ascontiguousarray(array) for name, array in model.arrays.items()}, path,
+              {"class": _class_of(model), "plain": json.dumps(model.plain()), **noted})
+
+
+def _load_tables(path: Path) -> tuple[Model, dict[str, str]]:
+    try:
+        with safe_open(path, "np") as file:
+            noted = file.metadata() or {}
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except SafetensorError as error:
+        raise ValueError(f"{path} is damaged ({error}); export the model again") from error
+    try:
+        family = named(noted["class"])
+    except (ImportError, AttributeError, KeyError, ValueError) as error:
+        raise ValueError(f"{path} holds a model of {noted.get('class', 'no class')}, which is not installed here "
+                         f"({error}); install its package") from error
+    if not (isinstance(family, type) and issubclass(family, Model)):
+        raise ValueError(f"{path} names {noted['class']}, which is no model; export the model again")
+    try:
+        return family.from_plain(arrays, json.loads(noted["plain"])), noted
+    except (TypeError, KeyError, IndexError) as error:
+        raise ValueError(f"{path} does not hold what a {family.__name__} needs ({error}); export the model again"
+                         ) from error
 
 
 def reference(directory: str | Path) -> dict[str, np.ndarray]:
@@ -118,9 +182,9 @@ def reference(directory: str | Path) -> dict[str, np.ndarray]:
     return load_file(Path(directory) / "reference.safetensors")
 
 
-def by_name(artifacts: list[Artifact]) -> dict[str, ModelTables]:
+def by_name(artifacts: list[Artifact]) -> dict[str, Model]:
     """Models by the name on their card; a repeated name is numbered."""
-    models: dict[str, ModelTables] = {}
+    models: dict[str, Model] = {}
     for loaded in artifacts:
         name, number = loaded.card["name"], 2
         while name in models:
@@ -148,7 +212,7 @@ def check_source(loaded: Artifact, source) -> None:
                              "use the plant or data that it was trained on, or train again")
 
 
-def _validate(model: ModelTables, output_names, input_names, rest: np.ndarray, bounds: np.ndarray) -> None:
+def _validate(model: Model, output_names, input_names, rest: np.ndarray, bounds: np.ndarray) -> None:
     p, m = model.output_dim, model.input_dim
     if len(output_names) != p or rest.shape != (p,):
         raise ValueError(f"{len(output_names)} output names and a rest of shape {rest.shape} for a model of "
@@ -156,8 +220,8 @@ def _validate(model: ModelTables, output_names, input_names, rest: np.ndarray, b
     if len(input_names) != m or bounds.shape != (2, m) or (bounds[0] >= bounds[1]).any():
         raise ValueError(f"{len(input_names)} input names and bounds of shape {bounds.shape} for a model of "
                          f"{m} inputs; expected (2, m) with the lower below the upper")
-    for table in model.array_names():
-        if not np.isfinite(getattr(model, table)).all():
+    for table, array in model.arrays.items():
+        if not np.isfinite(array).all():
             raise ValueError(f"the table {table} is not finite; fit the model before saving it")
 
 
@@ -172,11 +236,7 @@ def _refuse_foreign(directory: Path) -> None:
                          "choose another directory")
 
 
-def _kind_of(model: ModelTables) -> str:
-    return next(kind for kind, tables in KINDS.items() if type(model) is tables)
-
-
-def _reference_inputs(model: ModelTables, bounds: np.ndarray) -> dict[str, np.ndarray]:
+def _reference_inputs(model: Model, bounds: np.ndarray) -> dict[str, np.ndarray]:
     """Seeded states, inputs, and windows that hold outputs of such states."""
     rng = np.random.default_rng(0)
     states = 0.5 * model.state_scale * rng.uniform(-1, 1, (16, model.state_dim))
@@ -186,7 +246,7 @@ def _reference_inputs(model: ModelTables, bounds: np.ndarray) -> dict[str, np.nd
             "window_input": np.ascontiguousarray(inputs[1:].swapaxes(0, 1))}
 
 
-def _predict(model: ModelTables, reference: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _predict(model: Model, reference: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     z, u, window = reference["state"], reference["input"], reference["window"]
     A, B, c = model.linearize(z, u)
     C, d = model.linearize_output(z)
@@ -196,7 +256,7 @@ def _predict(model: ModelTables, reference: dict[str, np.ndarray]) -> dict[str, 
     return {name: np.ascontiguousarray(array) for name, array in found.items()}
 
 
-def _replay(directory: Path, model: ModelTables) -> None:
+def _replay(directory: Path, model: Model) -> None:
     recorded = reference(directory)
     for name, values in _predict(model, recorded).items():
         # c and d are what remains of a state or an output, and mere rounding of it where the model is linear
@@ -207,10 +267,20 @@ def _replay(directory: Path, model: ModelTables) -> None:
                              f"more than {REPLAY_TOLERANCE:g}; export the model again with this version")
 
 
-def _replace(aside: Path, directory: Path) -> None:
-    old = directory.with_name(directory.name + ".old")
-    shutil.rmtree(old, ignore_errors=True)
-    if directory.exists():
-        os.replace(directory, old)
-    os.replace(aside, directory)
-    shutil.rmtree(old, ignore_errors=True)
+@contextmanager
+def _replacing(directory: Path):
+    """A folder aside that takes the directory's place when all has been written, and leaves no trace where it is not."""
+    directory.parent.mkdir(parents=True, exist_ok=True)
+    within = Path(tempfile.mkdtemp(prefix=f".{directory.name}.", dir=directory.parent))
+    try:
+        aside = within / "new"
+        aside.mkdir()
+        yield aside
+        for path in aside.rglob("*"):
+            if path.is_file():  # a file of a temporary kind is readable by its owner alone
+                path.chmod(path.stat().st_mode | 0o444)
+        if directory.exists():
+            os.replace(directory, within / "old")
+        os.replace(aside, directory)
+    finally:
+        shutil.rmtree(within, ignore_errors=True)

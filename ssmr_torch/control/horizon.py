@@ -1,7 +1,7 @@
 """A model over the horizon: rollout, sensitivities, condensing to a quadratic program in the inputs.
 
-`horizon_for` chooses: compiled kernels for polynomial and bilinear tables, constant matrices for linear models, the
-batched linearization in NumPy for every other model.
+`horizon_for` chooses: constant matrices for affine models, the compiled kernel that a model names, and the batched
+linearization in NumPy for every other model.
 """
 
 from __future__ import annotations
@@ -11,10 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.control import condensing, kernel, map_kernel
+from ssmr_torch.control import condensing, kernel
 from ssmr_torch.control.problem import TrackingProblem
-
-POLYNOMIAL = ("drift", "control", "parametrization")
+from ssmr_torch.models.base import named
 
 
 class Condensed(NamedTuple):
@@ -83,10 +82,10 @@ class Horizon(ABC):
 
 
 class LinearizedHorizon(Horizon):
-    """Any model, through `rollout`, `linearize` and `linearize_output`, batched over the horizon."""
+    """Any model, through `states`, `linearize` and `linearize_output`, batched over the horizon."""
 
     def _rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        states = self.model.rollout(state, inputs)
+        states = self.model.states(state, inputs)
         return states, self.model.decode(states[1:])
 
     def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
@@ -124,7 +123,7 @@ class LinearHorizon(LinearizedHorizon):
         super().__init__(model, problem)
         N, n, m = problem.horizon, model.state_dim, problem.input_dim
         zero, none = np.zeros(n), np.zeros((N, m))
-        self._offset_states = model.rollout(zero, none)
+        self._offset_states = model.states(zero, none)
         A, B, _ = model.linearize(zero, none[0])
         C, _ = model.linearize_output(zero)
         repeated = [np.ascontiguousarray(np.broadcast_to(part, (N, *part.shape))) for part in (A, B, C)]
@@ -136,7 +135,7 @@ class LinearHorizon(LinearizedHorizon):
         self._offset = model.decode(self._offset_states[1:])
 
     def _rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        states = map_kernel.linear_states(state, inputs @ self._B.T + self._step, self._A)
+        states = kernel.linear_states(state, inputs @ self._B.T + self._step, self._A)
         return states, self._outputs(state, inputs)
 
     def _outputs(self, state: np.ndarray, inputs: np.ndarray) -> np.ndarray:
@@ -159,14 +158,7 @@ def horizon_for(model, problem: TrackingProblem) -> Horizon:
         raise ValueError(f"the model has {model.input_dim} inputs and {model.output_dim} outputs; "
                          f"the problem has {problem.input_dim} and {problem.output_dim}")
     model = model.at_timestep(problem.period)
-    if getattr(model, "affine", False):
+    if model.affine:
         return LinearHorizon(model, problem)
-    if all(isinstance(getattr(model, name, None), np.ndarray) for name in POLYNOMIAL):
-        return CompiledHorizon(model, problem, tuple(kernel.tables_of(model)), kernel.rollout, kernel.condense)
-    if hasattr(model, "dynamics_monomials"):
-        tables = map_kernel.map_tables(model, model.repeats)
-        return CompiledHorizon(model, problem, tables, map_kernel.rollout_map, map_kernel.condense_map)
-    if hasattr(model, "read_out") and not model.relift:
-        tables = map_kernel.bilinear_tables(model, model.repeats)
-        return CompiledHorizon(model, problem, tables, map_kernel.rollout_bilinear, map_kernel.condense_bilinear)
-    return LinearizedHorizon(model, problem)
+    found = named(model.compiled)(model) if model.compiled else None
+    return LinearizedHorizon(model, problem) if found is None else CompiledHorizon(model, problem, *found)

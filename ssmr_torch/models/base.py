@@ -1,81 +1,115 @@
-"""What every reduced model offers: chart, parametrization, one step, linearization, rollout."""
+"""What every reduced model offers, written once for arrays of NumPy and of Torch."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple, Self
+from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from importlib import import_module
+from numbers import Number
+from typing import Any, ClassVar, NamedTuple, Self
 
-import torch
-from torch import Tensor, nn
+import numpy as np
 
-from ssmr_torch.models.integrators import (
-    DIVERGENCE_FACTOR,
-    map_linearization,
-    repeated_map,
-    rk4_linearization,
-    rk4_step,
-    whole_multiple,
-)
-from ssmr_torch.models.tables import ModelTables
+from ssmr_torch.models.arrays import Array, namespace
+from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
 
 
 class Linearization(NamedTuple):
     """z⁺ ≈ A z + B u + c around the point of linearization; A (..., n, n), B (..., n, m), c (..., n)."""
 
-    A: Tensor
-    B: Tensor
-    c: Tensor
+    A: Array
+    B: Array
+    c: Array
 
 
 class OutputLinearization(NamedTuple):
     """y ≈ C z + d around the point of linearization; C (..., p, n), d (..., p)."""
 
-    C: Tensor
-    d: Tensor
+    C: Array
+    d: Array
 
 
 class Rollout(NamedTuple):
     """states (..., H+1, n) with the initial one; diverged_at (...): first diverged step, H+1 where none is."""
 
-    states: Tensor
-    diverged_at: Tensor
+    states: Array
+    diverged_at: Array
 
 
-@torch.no_grad()
-def fill(pairs) -> None:
-    """Copy arrays into parameters or buffers, [(tensor, array), …]. Raises ValueError where a shape differs."""
-    for tensor, array in pairs:
-        if tuple(tensor.shape) != array.shape:
-            raise ValueError(f"a table has shape {array.shape}; the declared sizes and degrees need "
-                             f"{tuple(tensor.shape)}")
-        tensor.copy_(torch.from_numpy(array.copy()))
-
-
-class ReducedModel(nn.Module, ABC):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Model(ABC):
     """Discrete-time reduced model z⁺ = f(z, u), with chart z = v(window) and parametrization y = w(z).
 
-    state_dim n, input_dim m, output_dim p (one sample), delays n_d; a window is the n_d + 1 newest samples, oldest
-    first, `window_timestep` s apart, shape (..., n_d + 1, p), with the n_d inputs held between them (..., n_d, m).
-    timestep: length of one `step` in s. Everything is float64 and SI.
-    state_scale: (n,) largest |z_i| of the training data (infinite before a fit); a rollout whose norm exceeds
-    `DIVERGENCE_FACTOR` times its norm has diverged.
+    Arrays and constants, without Torch: this is what an artifact holds and a controller runs. Fields annotated `Array`
+    are arrays (NumPy: float64, read-only; or Torch tensors, then everything below takes and gives tensors), all others
+    hold structure or plain values. A family adds its arrays and the five abstract functions; nothing else is needed.
+
+    state_scale: (n,) largest |z_i| of the training data, infinite before a fit. input_dim m, output_dim p (one sample).
+    delays n_d: a window is the n_d + 1 newest samples, oldest first, `window_timestep` s apart, (..., n_d + 1, p),
+    with the n_d inputs held between them (..., n_d, m). timestep: length of one `step` in s. Everything is SI.
+
+    c_source, compiled: "module:function" that writes this family in C, or gives a compiled horizon of it; None: it has
+    no C form, and a controller goes through `linearize`.
     """
 
-    def __init__(self, state_dim: int, input_dim: int, output_dim: int, delays: int,
-                 timestep: float, window_timestep: float):
-        super().__init__()
-        sizes = {"state_dim": state_dim, "input_dim": input_dim, "output_dim": output_dim}
-        for name, size in sizes.items():
-            if int(size) != size or size < 1:
-                raise ValueError(f"{name} is {size}; expected a positive integer")
-        if delays < 0:
-            raise ValueError(f"delays is {delays}; expected 0 or more (a window holds delays + 1 samples)")
-        if not (timestep > 0 and window_timestep > 0):
-            raise ValueError(f"timestep {timestep} s and window_timestep {window_timestep} s must be positive")
-        self.state_dim, self.input_dim, self.output_dim = int(state_dim), int(input_dim), int(output_dim)
-        self.delays = int(delays)
-        self.timestep, self.window_timestep = float(timestep), float(window_timestep)
-        self.register_buffer("state_scale", torch.full((self.state_dim,), torch.inf, dtype=torch.float64))
+    c_source: ClassVar[str | None] = None
+    compiled: ClassVar[str | None] = None
+
+    state_scale: Array
+    input_dim: int
+    output_dim: int
+    delays: int
+    timestep: float
+    window_timestep: float
+
+    def __post_init__(self):
+        for name in self.array_names():
+            object.__setattr__(self, name, _fixed(getattr(self, name)))
+
+    @classmethod
+    def array_names(cls) -> tuple[str, ...]:
+        """Names of the fields that are arrays."""
+        return tuple(field.name for field in fields(cls) if field.type in ("Array", Array))
+
+    @classmethod
+    def plain_names(cls) -> tuple[str, ...]:
+        """Names of the fields that are structure or plain values."""
+        return tuple(field.name for field in fields(cls) if field.name not in cls.array_names())
+
+    def plain(self) -> dict:
+        """Structure and plain values as JSON has them, such that `from_plain(arrays, plain)` is this model again."""
+        return {name: getattr(self, name) for name in self.plain_names()}
+
+    @classmethod
+    def from_plain(cls, arrays: dict[str, Array], plain: dict) -> Self:
+        """The model with these arrays and what `plain` gave."""
+        return cls(**arrays, **plain)
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """The arrays by name."""
+        return {name: getattr(self, name) for name in self.array_names()}
+
+    def with_arrays(self, change) -> Self:
+        """The same model with change(array) in place of each array."""
+        return replace(self, **{name: change(array) for name, array in self.arrays.items()})
+
+    def numpy(self) -> Self:
+        """The same model with NumPy arrays."""
+        return self.with_arrays(lambda array: array if isinstance(array, np.ndarray) else array.detach().cpu().numpy())
+
+    @property
+    def reduced(self) -> Self:
+        """This model: who offers one, such as a Torch module or what `fit` returns, gives it under this name."""
+        return self
+
+    @property
+    def state_dim(self) -> int:
+        """n"""
+        return len(self.state_scale)
 
     @property
     def window_dim(self) -> int:
@@ -83,132 +117,106 @@ class ReducedModel(nn.Module, ABC):
         return (self.delays + 1) * self.output_dim
 
     @property
-    @abstractmethod
-    def arguments(self) -> dict:
-        """Constructor arguments, plain values: with the state dict they rebuild the model."""
+    def affine(self) -> bool:
+        """Whether z⁺ is affine in (z, u), and y in z, everywhere: a controller then condenses once for all."""
+        return False
+
+    @property
+    def takes_past_inputs(self) -> bool:
+        """Whether the chart looks at the inputs held within the window."""
+        return True
+
+    @property
+    def kind(self) -> str:
+        """The family's name on a card."""
+        return type(self).__name__
+
+    @property
+    def geometry(self) -> str:
+        """What a card says of the chart and the parametrization."""
+        return (f"{self.state_dim} states from windows of {self.delays + 1} samples of {self.output_dim} outputs, "
+                f"{self.window_timestep:g} s apart")
+
+    @cached_property
+    def rates(self) -> np.ndarray:
+        """Eigenvalues λ of the dynamics linearized at z = 0, u = 0, (n,) 1/s: e^{λ timestep} are those of A."""
+        A = self.numpy().linearize(np.zeros(self.state_dim), np.zeros(self.input_dim)).A
+        with np.errstate(divide="ignore"):
+            return np.log(np.linalg.eigvals(A).astype(complex)) / self.timestep
 
     @abstractmethod
-    def encode(self, window: Tensor, inputs: Tensor) -> Tensor:
-        """Chart z = v(window): (..., n_d + 1, p), inputs (..., n_d, m) → (..., n)."""
+    def encode(self, window: Array, inputs: Array) -> Array:
+        """Chart z = v(window): (..., n_d + 1, p), inputs held between its samples (..., n_d, m) → (..., n)."""
 
     @abstractmethod
-    def decode(self, z: Tensor) -> Tensor:
+    def decode(self, z: Array) -> Array:
         """Newest sample of the parametrization y = w(z): (..., n) → (..., p)."""
 
     @abstractmethod
-    def step(self, z: Tensor, u: Tensor) -> Tensor:
+    def step(self, z: Array, u: Array) -> Array:
         """State one `timestep` later with u held: (..., n), (..., m) → (..., n)."""
 
     @abstractmethod
-    def linearize(self, z: Tensor, u: Tensor) -> Linearization:
+    def linearize(self, z: Array, u: Array) -> Linearization:
         """First-order expansion of `step`, batched over the leading dimensions."""
 
     @abstractmethod
-    def linearize_output(self, z: Tensor) -> OutputLinearization:
+    def linearize_output(self, z: Array) -> OutputLinearization:
         """First-order expansion of `decode`, batched over the leading dimensions."""
-
-    @abstractmethod
-    def tables(self) -> ModelTables:
-        """The same model as NumPy arrays, for artifacts and controllers."""
-
-    @classmethod
-    @abstractmethod
-    def from_tables(cls, tables: ModelTables) -> Self:
-        """The Torch model with these tables."""
 
     def at_timestep(self, timestep: float) -> Self:
         """The same model with `step` covering another time in s; the spacing of the window stays."""
-        return self.from_tables(self.tables().at_timestep(timestep))
+        return replace(self, timestep=float(timestep))
 
-    def rollout(self, z: Tensor, inputs: Tensor) -> Rollout:
-        """States under inputs (..., H, m) held one timestep each, from z (..., n).
+    def states(self, z: Array, inputs: Array) -> Array:
+        """States (..., H + 1, n) from z (..., n) under inputs (..., H, m) held one timestep each."""
+        found = [z]
+        for k in range(inputs.shape[-2]):
+            found.append(self.step(found[-1], inputs[..., k, :]))
+        return namespace(z).stack(found, -2)
+
+    def rollout(self, z: Array, inputs: Array) -> Rollout:
+        """`states`, and where they diverged: at the first step whose norm exceeds `DIVERGENCE_FACTOR` ‖state_scale‖.
 
         A diverged rollout is frozen at its last state inside the bound, so that it stays finite.
         """
-        bound = DIVERGENCE_FACTOR * torch.linalg.vector_norm(self.state_scale)
-        horizon = inputs.shape[-2]
-        states = [z]
-        diverged_at = torch.full(z.shape[:-1], horizon + 1, dtype=torch.long, device=z.device)
-        for k in range(horizon):
-            following = self.step(z, inputs[..., k, :])
-            norm = torch.linalg.vector_norm(following, dim=-1)
-            left = ~(torch.isfinite(norm) & (norm <= bound))
-            diverged_at = torch.where(left & (diverged_at > horizon), k + 1, diverged_at)
-            z = torch.where((diverged_at <= horizon)[..., None], z, following)
-            states.append(z)
-        return Rollout(torch.stack(states, dim=-2), diverged_at)
+        xp, horizon = namespace(z), inputs.shape[-2]
+        bound = DIVERGENCE_FACTOR * _norm(xp, self.state_scale)
+        found, steps = [z], xp.zeros_like(z[..., 0])
+        inside = xp.ones_like(z[..., 0]) > 0
+        with np.errstate(over="ignore", invalid="ignore") if xp is np else nullcontext():
+            for k in range(horizon):
+                following = self.step(z, inputs[..., k, :])
+                inside = inside & (_norm(xp, following) <= bound)
+                steps = steps + inside
+                z = xp.where(inside[..., None], following, z)
+                found.append(z)
+        whole = (steps + 1.0).astype(np.int64) if xp is np else (steps + 1.0).long()
+        return Rollout(xp.stack(found, -2), whole)
 
 
-class ContinuousTimeModel(ReducedModel):
-    """dz/dt = drift(z) + control_field(z) u; `step` is the Runge-Kutta step of order four with the input held.
-
-    substeps: integrator steps within one timestep.
-    """
-
-    def __init__(self, state_dim: int, input_dim: int, output_dim: int, delays: int,
-                 timestep: float, window_timestep: float, substeps: int):
-        super().__init__(state_dim, input_dim, output_dim, delays, timestep, window_timestep)
-        if substeps < 1:
-            raise ValueError(f"substeps is {substeps}; expected 1 or more")
-        self.substeps = int(substeps)
-        self.register_buffer("identity", torch.eye(self.state_dim, dtype=torch.float64), persistent=False)
-
-    @abstractmethod
-    def drift(self, z: Tensor) -> Tensor:
-        """Reduced dynamics without input, (..., n) → (..., n), in state units per s."""
-
-    @abstractmethod
-    def control_field(self, z: Tensor) -> Tensor:
-        """b_r(z): (..., n) → (..., n, m)."""
-
-    @abstractmethod
-    def rate_jacobian(self, z: Tensor, u: Tensor) -> Tensor:
-        """∂/∂z of drift(z) + control_field(z) u, (..., n, n)."""
-
-    def rate(self, z: Tensor, u: Tensor) -> Tensor:
-        """dz/dt, (..., n)."""
-        return self.drift(z) + (self.control_field(z) @ u[..., None])[..., 0]
-
-    def step(self, z: Tensor, u: Tensor) -> Tensor:
-        return rk4_step(lambda x: self.rate(x, u), z, self.timestep, self.substeps)
-
-    def linearize(self, z: Tensor, u: Tensor) -> Linearization:
-        following, A, B = rk4_linearization(
-            lambda x: self.rate(x, u), lambda x: (self.rate_jacobian(x, u), self.control_field(x)),
-            z, self.identity, self.timestep, self.substeps)
-        c = following - (A @ z[..., None])[..., 0] - (B @ u[..., None])[..., 0]
-        return Linearization(A, B, c)
+def named(path: str):
+    """What "module:name" names."""
+    module, _, name = path.partition(":")
+    return getattr(import_module(module), name)
 
 
-class DiscreteTimeModel(ReducedModel):
-    """z⁺ = advance(z, u), a map over base_timestep s; `step` is as many of them, with the input held, as fill timestep.
+def around(following: Array, A: Array, B: Array, z: Array, u: Array) -> Linearization:
+    """The linearization with z⁺ = following at (z, u) and these Jacobians."""
+    return Linearization(A, B, following - (A @ z[..., None])[..., 0] - (B @ u[..., None])[..., 0])
 
-    base_timestep: s, what the model was or will be fitted at; None: the timestep. Raises ValueError where the timestep
-    is no whole multiple of it.
-    """
 
-    def __init__(self, state_dim: int, input_dim: int, output_dim: int, delays: int,
-                 timestep: float, window_timestep: float, base_timestep: float | None = None):
-        super().__init__(state_dim, input_dim, output_dim, delays, timestep, window_timestep)
-        self.base_timestep = float(timestep if base_timestep is None else base_timestep)
-        self.repeats = whole_multiple(self.timestep, self.base_timestep)
+def _norm(xp, z: Array) -> Array:
+    return xp.sqrt((z * z).sum(-1))
 
-    @abstractmethod
-    def advance(self, z: Tensor, u: Tensor) -> Tensor:
-        """State one base_timestep later with u held: (..., n), (..., m) → (..., n)."""
 
-    @abstractmethod
-    def advance_jacobians(self, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        """∂z⁺/∂z (..., n, n) and ∂z⁺/∂u (..., n, m) of `advance`."""
-
-    def advance_linearization(self, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """`advance` and its Jacobians together."""
-        return self.advance(z, u), *self.advance_jacobians(z, u)
-
-    def step(self, z: Tensor, u: Tensor) -> Tensor:
-        return repeated_map(lambda x: self.advance(x, u), z, self.repeats)
-
-    def linearize(self, z: Tensor, u: Tensor) -> Linearization:
-        following, A, B = map_linearization(lambda x: self.advance_linearization(x, u), z, self.repeats)
-        c = following - (A @ z[..., None])[..., 0] - (B @ u[..., None])[..., 0]
-        return Linearization(A, B, c)
+def _fixed(array: Any) -> Any:
+    """A tensor as it is, NumPy arrays and numbers as a read-only array of its own."""
+    if not isinstance(array, (np.ndarray, Sequence, Number)):
+        return array
+    if isinstance(array, np.ndarray) and array.dtype == np.float64:
+        if array.flags.owndata and not array.flags.writeable:
+            return array
+    array = np.array(array, dtype=np.float64)
+    array.setflags(write=False)
+    return array

@@ -64,14 +64,3 @@ def map_linearization(linearization: Callable, z, repeats: int):
         z, F, G = linearization(z)
         A, B = (F, G) if A is None else (F @ A, F @ B + G)
     return z, A, B
-
-
-def whole_multiple(timestep: float, base_timestep: float) -> int:
-    """timestep / base_timestep, both in s. Raises ValueError when it is no positive integer."""
-    ratio = timestep / base_timestep
-    repeats = round(ratio)
-    if repeats < 1 or abs(ratio - repeats) > 1e-6 * repeats:
-        raise ValueError(f"a step of {timestep:g} s is {ratio:.6g} steps of this discrete-time model, which was fitted "
-                         f"at {base_timestep:g} s; expected a whole multiple: choose another period, or fit at one "
-                         "that divides it")
-    return repeats

@@ -1,11 +1,12 @@
 """The extended Kalman filter in discrete time [Kalman 1960; Gelb 1974, section 6.1].
 
-Written with arithmetic and matrix products only, and a `solve` that is given, so that the same lines serve NumPy arrays
-and Torch tensors, batched over leading dimensions.
+Written with arithmetic and matrix products only, so that the same lines serve arrays of either kind, batched over
+leading dimensions, and can be exported.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from ssmr_torch.models.arrays import Array, namespace
 
 
 class Noise(NamedTuple):
@@ -13,26 +14,23 @@ class Noise(NamedTuple):
     covariances of what each step, process (n, n), and each measurement, (p, p) m², add.
     """
 
-    mean: Any
-    covariance: Any
-    process: Any
-    measurement: Any
+    mean: Array
+    covariance: Array
+    process: Array
+    measurement: Array
 
 
-def predict(model, z, covariance, u, process):
+def predict(model, z: Array, covariance: Array, u: Array, process: Array) -> tuple[Array, Array]:
     """State z (..., n) and its covariance one base_timestep later with u held: z⁺ = f(z, u), P⁺ = A P Aᵀ + Q.
 
-    model: with `advance_linearization`, such as a `DiscreteTimeModel`.
+    model: with `advance_linearization`, such as a `PiecewiseLinearModel`.
     """
     following, A, _ = model.advance_linearization(z, u)
     return following, A @ covariance @ A.swapaxes(-1, -2) + process
 
 
-def correct(model, z, covariance, y, measurement, solve: Callable):
-    """State and covariance after y (..., p) was measured: z + K (y − w(z)), P − K C P, K = P Cᵀ (C P Cᵀ + R)⁻¹.
-
-    solve(S, X) → S⁻¹ X for stacks of matrices: `numpy.linalg.solve` or `torch.linalg.solve`.
-    """
+def correct(model, z: Array, covariance: Array, y: Array, measurement: Array) -> tuple[Array, Array]:
+    """State and covariance after y (..., p) was measured: z + K (y − w(z)), P − K C P, K = P Cᵀ (C P Cᵀ + R)⁻¹."""
     C, _ = model.linearize_output(z)
     seen = C @ covariance
     gain = solve(seen @ C.swapaxes(-1, -2) + measurement, seen).swapaxes(-1, -2)
@@ -41,15 +39,27 @@ def correct(model, z, covariance, y, measurement, solve: Callable):
             0.5 * (covariance + covariance.swapaxes(-1, -2)))
 
 
-def filter_window(model, window, inputs, noise: Noise, repeats: int, solve: Callable):
+def filter_window(model, window: Array, inputs: Array, noise: Noise, repeats: int) -> Array:
     """State (..., n) at the newest sample of a window (..., n_d + 1, p), inputs (..., n_d, m) held between samples.
 
     repeats: base timesteps between two samples.
     """
     mean = noise.mean + 0.0 * window[..., 0, :1]
-    z, covariance = correct(model, mean, noise.covariance, window[..., 0, :], noise.measurement, solve)
+    z, covariance = correct(model, mean, noise.covariance, window[..., 0, :], noise.measurement)
     for k in range(inputs.shape[-2]):
         for _ in range(repeats):
             z, covariance = predict(model, z, covariance, inputs[..., k, :], noise.process)
-        z, covariance = correct(model, z, covariance, window[..., k + 1, :], noise.measurement, solve)
+        z, covariance = correct(model, z, covariance, window[..., k + 1, :], noise.measurement)
     return z
+
+
+def solve(S: Array, X: Array) -> Array:
+    """S⁻¹ X of positive definite S (..., p, p) and X (..., p, n) by elimination, which needs no pivots: the programs
+    of ONNX have no solver.
+    """
+    xp, both = namespace(X), namespace(X).concatenate([S, X], -1)
+    rows = [both[..., k, :] for k in range(S.shape[-1])]
+    for k in range(len(rows)):
+        pivot = rows[k] / rows[k][..., k:k + 1]
+        rows = [pivot if i == k else row - row[..., k:k + 1] * pivot for i, row in enumerate(rows)]
+    return xp.stack(rows, -2)[..., S.shape[-1]:]

@@ -1,12 +1,16 @@
-"""Monomials z^{c:d} of a vector, degree-graded: x1, …, xn, x1², x1x2, …, x1xn, x2², …"""
+"""Monomials of a vector, degree-graded: x1, …, xn, x1², x1x2, …, x1xn, x2², …, or any set of them."""
 
 from __future__ import annotations
 
-from copy import copy
+from collections.abc import Iterable
+from functools import cached_property, lru_cache
 from itertools import combinations_with_replacement
 from math import comb
+from typing import NamedTuple
 
 import numpy as np
+
+from ssmr_torch.models.arrays import Array, like, namespace
 
 
 def count_monomials(variables: int, lowest: int, highest: int) -> int:
@@ -14,64 +18,185 @@ def count_monomials(variables: int, lowest: int, highest: int) -> int:
     return sum(comb(variables + degree - 1, degree) for degree in range(lowest, highest + 1))
 
 
-class Monomials:
-    """The vector z^{lowest:highest} as index tables: every monomial is one of a degree less times a variable.
+class Derivative(NamedTuple):
+    """Structure of ∂(T φ)/∂x for the variables first ≤ j < last, of any table T (r, q).
 
-    exponents: (q, n) integers, one row per monomial, in the order of scikit-learn's PolynomialFeatures.
-    levels: per degree d ≥ 2, the position of each monomial's parent among those of degree d-1, and its variable.
-    derivative_index: (q, n) positions in z^{0:highest} such that ∂z^α/∂z_j = α_j (z^{0:highest})[index[α, j]].
+    It is polynomial: row i of ∂(T φ)_i / ∂x_j = Σ_c T[i, source[j, c]] · multiplicity[j, c] · (closure at needed[c]).
+    needed (K,): positions in the closure; source, multiplicity (last − first, K): the monomial behind each entry, and
+    the exponent that comes down, 0 where there is none.
     """
 
-    def __init__(self, variables: int, lowest: int, highest: int):
-        if variables < 1 or lowest < 0:
-            raise ValueError(f"monomials of {variables} variables from degree {lowest}; "
-                             "expected at least 1 variable and a lowest degree of at least 0")
-        self.variables, self.lowest, self.highest = variables, lowest, highest
-        self.chosen: np.ndarray | None = None
-        tuples = [list(combinations_with_replacement(range(variables), degree)) for degree in range(highest + 1)]
+    needed: np.ndarray
+    source: np.ndarray
+    multiplicity: np.ndarray
+
+
+class Monomials:
+    """φ(x), one entry Π_j x[f_j] for each row of `factors`: structure, no numbers.
+
+    variables: length of x. factors: variables of each monomial, repeated as often as its exponent says; order within a
+    row does not matter, () is the constant. Raises ValueError for a variable that x does not have, or a monomial twice.
+
+    To multiply them out, and for derivatives, all divisors come along: the `closure`, graded, the constant and all
+    variables first; each of its products is one of a degree less times a variable.
+    exponents: (q, variables) integers. positions: (q,) of the monomials in the closure.
+    levels: per degree d ≥ 2, the position of each product's parent among those of degree d − 1, and its variable.
+    """
+
+    def __init__(self, variables: int, factors: Iterable[Iterable[int]]):
+        self.variables = int(variables)
+        self.factors = tuple(tuple(sorted(int(factor) for factor in row)) for row in factors)
+        outside = [row for row in self.factors if row and not 0 <= row[0] <= row[-1] < self.variables]
+        if variables < 1 or outside:
+            raise ValueError(f"monomials of {variables} variables, of which one has the factors "
+                             f"{outside[:1] or 'none'}; expected at least 1 variable and factors from 0 to "
+                             f"{self.variables - 1}")
+        if len(set(self.factors)) < len(self.factors):
+            twice = next(row for row in self.factors if self.factors.count(row) > 1)
+            raise ValueError(f"the monomial with the factors {twice} is given twice; give each once")
+        self._grade()
+
+    def _grade(self) -> None:
+        graded: dict[int, set] = {0: {()}, 1: {(j,) for j in range(self.variables)}}
+        for row in self.factors:
+            graded.setdefault(len(row), set()).add(row)
+        highest = max(graded)
+        for degree in range(highest, 1, -1):
+            below = graded.setdefault(degree - 1, set())
+            for row in graded.get(degree, ()):
+                below.update(row[:k] + row[k + 1:] for k in range(degree))
+        self.closure = [row for degree in range(highest + 1) for row in sorted(graded[degree])]
+        self._position = {row: position for position, row in enumerate(self.closure)}
         self.levels = []
         for degree in range(2, highest + 1):
-            position = {factors: index for index, factors in enumerate(tuples[degree - 1])}
-            self.levels.append((np.array([position[f[:-1]] for f in tuples[degree]], dtype=np.int64),
-                                np.array([f[-1] for f in tuples[degree]], dtype=np.int64)))
-        everything = [factors for level in tuples for factors in level]
-        position = {factors: index for index, factors in enumerate(everything)}
-        chosen = [factors for factors in everything if lowest <= len(factors)]
-        self.exponents = np.zeros((len(chosen), variables), dtype=np.int64)
-        self.derivative_index = np.zeros((len(chosen), variables), dtype=np.int64)
-        for row, factors in enumerate(chosen):
-            for variable in set(factors):
-                rest = list(factors)
-                rest.remove(variable)
-                self.exponents[row, variable] = factors.count(variable)
-                self.derivative_index[row, variable] = position[tuple(rest)]
+            rows, before = sorted(graded[degree]), {row: k for k, row in enumerate(sorted(graded[degree - 1]))}
+            self.levels.append((np.array([before[row[:-1]] for row in rows], dtype=np.int64),
+                                np.array([row[-1] for row in rows], dtype=np.int64)))
+        self.highest = max(map(len, self.factors), default=0)
+        self.positions = np.array([self._position[row] for row in self.factors], dtype=np.int64)
+        first = int(self.positions[0]) if len(self.positions) else 0
+        consecutive = np.array_equal(self.positions, first + np.arange(len(self.positions)))
+        self._chosen = slice(first, first + len(self.positions)) if consecutive else self.positions
 
     def __len__(self) -> int:
-        return len(self.exponents)
+        return len(self.factors)
 
-    def selected(self, rows: np.ndarray) -> Monomials:
-        """Only these of the monomials, rows (q,) of truth values, in the same order."""
-        part = copy(self)
-        whole = self.chosen if self.chosen is not None else np.arange(len(self))
-        part.chosen, part.exponents = whole[rows], self.exponents[rows]
-        part.derivative_index = self.derivative_index[rows]
-        return part
+    def position(self, factors: tuple[int, ...]) -> int:
+        """Where a monomial stands in the closure."""
+        return self._position[factors]
 
-    def all_degrees(self, z: np.ndarray) -> np.ndarray:
-        """z^{0:highest}, shape (..., 1 + n + …)."""
-        parts = [np.ones(z.shape[:-1] + (1,), dtype=z.dtype)]
-        if self.highest >= 1:
-            parts.append(z)
+    @cached_property
+    def exponents(self) -> np.ndarray:
+        counts = np.zeros((len(self), self.variables), dtype=np.int64)
+        for row, factors in enumerate(self.factors):
+            for factor in factors:
+                counts[row, factor] += 1
+        return counts
+
+    def multiplied_out(self, x: Array) -> Array:
+        """The closure of x (..., variables): (..., size), [1, x, products]."""
+        xp = namespace(x)
+        parts = [xp.ones_like(x[..., :1]), x]
         for parent, variable in self.levels:
-            parts.append(parts[-1][..., parent] * z[..., variable])
-        return np.concatenate(parts, axis=-1)
+            parts.append(parts[-1][..., self._on(x, parent)] * x[..., self._on(x, variable)])
+        return xp.concatenate(parts, -1)
 
-    def __call__(self, z: np.ndarray) -> np.ndarray:
-        """z (..., n) → z^{lowest:highest} (..., q)."""
-        powers = self.all_degrees(z)
-        lowest = powers.shape[-1] - count_monomials(self.variables, self.lowest, self.highest)
-        return powers[..., lowest:] if self.chosen is None else powers[..., lowest + self.chosen]
+    def __call__(self, x: Array) -> Array:
+        """φ(x), (..., variables) → (..., q)."""
+        return self.chosen(self.multiplied_out(x))
 
-    def jacobian(self, z: np.ndarray) -> np.ndarray:
-        """∂ z^{lowest:highest} / ∂z, shape (..., q, n)."""
-        return self.exponents * self.all_degrees(z)[..., self.derivative_index]
+    def chosen(self, closure: Array) -> Array:
+        """φ out of the closure, (..., size) → (..., q)."""
+        return closure[..., self._chosen if isinstance(self._chosen, slice) else self._on(closure, self._chosen)]
+
+    def derivative(self, first: int, last: int) -> Derivative:
+        """Structure of the Jacobian with respect to the variables first ≤ j < last."""
+        if (first, last) not in self._derivatives:
+            self._derivatives[first, last] = self._differentiated(first, last)
+        return self._derivatives[first, last]
+
+    @cached_property
+    def _derivatives(self) -> dict[tuple[int, int], Derivative]:
+        return {}
+
+    def _differentiated(self, first: int, last: int) -> Derivative:
+        found = []
+        for row, factors in enumerate(self.factors):
+            for variable in {factor for factor in factors if first <= factor < last}:
+                rest = list(factors)
+                rest.remove(variable)
+                found.append((row, variable - first, self._position[tuple(rest)], factors.count(variable)))
+        needed = np.array(sorted({position for _, _, position, _ in found}), dtype=np.int64)
+        column = {int(position): k for k, position in enumerate(needed)}
+        source = np.zeros((last - first, len(needed)), dtype=np.int64)
+        multiplicity = np.zeros(source.shape)
+        for row, variable, position, count in found:
+            source[variable, column[position]], multiplicity[variable, column[position]] = row, count
+        return Derivative(needed, source, multiplicity)
+
+    def jacobian(self, x: Array) -> Array:
+        """∂φ/∂x, (..., variables) → (..., q, variables)."""
+        return Form(self, like(x, np.eye(len(self)))).jacobian(self.multiplied_out(x), 0, self.variables)
+
+    def _on(self, array: Array, index: np.ndarray) -> Array:
+        return on_device(array, index)
+
+
+class Form:
+    """f(x) = table · φ(x), table (r, q) of NumPy or Torch, and its exact Jacobian.
+
+    What is derived from the table is kept, so a form must not outlive a change of it.
+    """
+
+    def __init__(self, monomials: Monomials, table: Array):
+        self.monomials, self.table = monomials, table
+        self._slopes: dict[tuple[int, int], tuple] = {}
+
+    def __call__(self, x: Array) -> Array:
+        """(..., variables) → (..., r)."""
+        return self.monomials(x) @ self.table.T
+
+    def slopes(self, first: int, last: int) -> tuple[np.ndarray, Array]:
+        """Positions in the closure (K,), and the table (r (last − first), K) over them, of ∂f/∂x, row by row."""
+        if (first, last) not in self._slopes:
+            needed, source, multiplicity = self.monomials.derivative(first, last)
+            slopes = self.table[:, on_device(self.table, source)] * like(self.table, multiplicity)
+            self._slopes[first, last] = needed, slopes.reshape(-1, len(needed))
+        return self._slopes[first, last]
+
+    def jacobian(self, closure: Array, first: int, last: int) -> Array:
+        """∂f/∂x_j for first ≤ j < last, (..., r, last − first), where the closure (..., size) was multiplied out."""
+        needed, slopes = self.slopes(first, last)
+        flat = closure[..., on_device(closure, needed)] @ slopes.T
+        return flat.reshape(*flat.shape[:-1], len(self.table), last - first)
+
+
+def on_device(array: Array, index: np.ndarray) -> Array:
+    """An index array for this array's library and device; on a device it is copied there once."""
+    if isinstance(array, np.ndarray):
+        return index
+    import torch
+
+    if array.device.type == "cpu":
+        return torch.from_numpy(index)
+    return _copied(index.tobytes(), index.shape, array.device)
+
+
+@lru_cache(maxsize=1024)
+def _copied(content: bytes, shape: tuple, device):
+    import torch
+
+    return torch.from_numpy(np.frombuffer(content, dtype=np.int64).reshape(shape).copy()).to(device)
+
+
+@lru_cache(maxsize=256)
+def graded(variables: int, lowest: int, highest: int) -> Monomials:
+    """x^{lowest:highest}, all monomials of these degrees, in the order of scikit-learn's PolynomialFeatures.
+
+    Raises ValueError for fewer than one variable or a negative degree.
+    """
+    if variables < 1 or lowest < 0:
+        raise ValueError(f"monomials of {variables} variables from degree {lowest}; "
+                         "expected at least 1 variable and a lowest degree of at least 0")
+    return Monomials(variables, [factors for degree in range(lowest, highest + 1)
+                                 for factors in combinations_with_replacement(range(variables), degree)])

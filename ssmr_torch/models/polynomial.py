@@ -1,0 +1,297 @@
+"""Polynomial reduced models: a chart, a parametrization and reduced dynamics, each a table times monomials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from ssmr_torch.models.arrays import Array, identity, namespace
+from ssmr_torch.models.base import Linearization, Model, OutputLinearization, around
+from ssmr_torch.models.integrators import map_linearization, repeated_map, rk4_linearization, rk4_step
+from ssmr_torch.models.monomials import Form, Monomials, on_device
+from ssmr_torch.models.saturation import saturated
+from ssmr_torch.periods import whole_multiple
+
+SCHEMES = ("runge_kutta", "euler", "map")
+
+
+class Structure(NamedTuple):
+    """Which monomials a polynomial model is made of, and how its forms follow each other; integers and words only.
+
+    chart: over ζ, entries `window_order` of [ŷ, û], the window and the inputs held within it, flattened oldest first.
+    parametrization: over z. dynamics: over (z, u).
+    scheme: "runge_kutta", the dynamics are dz/dt, and a step is of order four with the input held; "euler", they are
+    (z⁺ − z) / base_timestep; "map", they are z⁺ after base_timestep.
+    saturated: terms of the dynamics beyond those linear in z see s(z), see `saturation`, with `state_scale` as edge.
+    relift: the map gives ζ alone, which the chart's monomials lift anew, z⁺ = ψ(f(z, u)).
+    """
+
+    chart: Monomials
+    window_order: tuple[int, ...]
+    parametrization: Monomials
+    dynamics: Monomials
+    scheme: str = "map"
+    saturated: bool = False
+    relift: bool = False
+
+
+    def plain(self) -> dict:
+        """As JSON has it: monomials as their number of variables and their factors."""
+        found = self._asdict()
+        return found | {name: [each.variables, each.factors] for name, each in found.items()
+                        if isinstance(each, Monomials)}
+
+    @classmethod
+    def from_plain(cls, plain: dict) -> Structure:
+        """What `plain` gave. Raises ValueError or TypeError where it is none."""
+        monomials = {name: Monomials(*plain[name]) for name in ("chart", "parametrization", "dynamics")}
+        return cls(**(plain | monomials | {"window_order": tuple(plain["window_order"])}))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PolynomialModel(Model):
+    """z = chart · ψ(ζ / window_scale),   y = last p rows of parametrization · φ_w(z),
+
+        dz/dt = f(z, u)   or   z⁺ = z + base_timestep f(z, u)   or   z⁺ = f(z, u),   f = dynamics · φ(z, u),
+
+    with the monomials ψ, φ_w, φ of the `Structure`. chart (n, ·), or (0, ·) where z is ψ itself; parametrization
+    (·, ·), p rows or all (n_d + 1) p of the window; dynamics (n, ·); window_scale: of ζ, or (0,) for none.
+    substeps: Runge-Kutta steps within a timestep. base_timestep: s, what a map or an Euler step covers; a timestep is
+    a whole multiple of it. float64, SI.
+    Raises ValueError for tables that do not fit the structure, or a timestep that is no whole multiple.
+    """
+
+    c_source: ClassVar[str] = "ssmr_torch.deployment.c_polynomial:polynomial"
+    compiled: ClassVar[str] = "ssmr_torch.control.kernel:compiled_polynomial"
+
+    structure: Structure
+    chart: Array
+    parametrization: Array
+    dynamics: Array
+    window_scale: Array = ()
+    base_timestep: float | None = None
+    substeps: int = 1
+
+    def __post_init__(self):
+        super().__post_init__()
+        _check(self)
+
+    def plain(self) -> dict:
+        return super().plain() | {"structure": self.structure.plain()}
+
+    @classmethod
+    def from_plain(cls, arrays: dict[str, Array], plain: dict) -> PolynomialModel:
+        return super().from_plain(arrays, plain | {"structure": Structure.from_plain(plain["structure"])})
+
+    @property
+    def flow(self) -> bool:
+        """Whether the dynamics are in continuous time."""
+        return self.structure.scheme == "runge_kutta"
+
+    @property
+    def repeats(self) -> int:
+        """Applications of the map, or Euler steps, in one step."""
+        if self.flow:
+            return 1
+        return whole_multiple("the step", self.timestep, "the timestep that this discrete-time model was fitted at",
+                              self.base_timestep, "choose another period, or fit at one that divides it")
+
+    @property
+    def affine(self) -> bool:
+        structure = self.structure
+        highest = max(structure.dynamics.highest, structure.parametrization.highest)
+        return highest <= 1 and not structure.relift
+
+    @property
+    def takes_past_inputs(self) -> bool:
+        return max(self.structure.window_order) >= self.window_dim
+
+    @property
+    def kind(self) -> str:
+        return "polynomial"
+
+    @property
+    def geometry(self) -> str:
+        rows, n, degree = len(self.parametrization), self.state_dim, self.structure.parametrization.highest
+        if rows == self.output_dim:
+            return super().geometry
+        if rows == n:
+            shape = f"p = n = {n}: the parametrization is linear, all nonlinearity sits in the dynamics"
+        elif degree == 1:
+            shape = f"p = {rows} > n = {n}, parametrization of degree 1: a flat manifold"
+        else:
+            shape = f"p = {rows} > n = {n}, parametrization of degree {degree}: a curved manifold"
+        return f"{super().geometry}; {shape}"
+
+    @cached_property
+    def constant_states(self) -> np.ndarray:
+        """(n,) which entries of the state are the constant 1."""
+        constant = np.array([not factors for factors in self.structure.chart.factors])
+        return constant if not len(self.chart) else np.zeros(self.state_dim, dtype=bool)
+
+    @cached_property
+    def dynamics_form(self) -> Form:
+        """f over (z, u)."""
+        return Form(self.structure.dynamics, self.dynamics)
+
+    @cached_property
+    def output_form(self) -> Form:
+        """w over z, newest sample alone."""
+        return Form(self.structure.parametrization, self.parametrization[-self.output_dim:])
+
+    @cached_property
+    def window_form(self) -> Form:
+        """w over z, all rows of the parametrization."""
+        return Form(self.structure.parametrization, self.parametrization)
+
+    @cached_property
+    def edge(self) -> Array:
+        """Of the range within which nothing saturates, (n,)."""
+        xp = namespace(self.state_scale)
+        edge = xp.where(self.state_scale > 0, self.state_scale, np.inf)
+        return edge if self.structure.saturated else xp.zeros_like(edge) + np.inf
+
+    @cached_property
+    def linear_part(self) -> Array:
+        """∂f/∂z at rest, (·, n): the columns of the dynamics that multiply z alone."""
+        needed, slopes = self.dynamics_form.slopes(0, self.state_dim)
+        constant = slopes[:, np.flatnonzero(needed == 0)]
+        if not constant.shape[1]:
+            return constant.sum(-1).reshape(len(self.dynamics), self.state_dim)
+        return constant.reshape(len(self.dynamics), self.state_dim)
+
+    def encode(self, window: Array, inputs: Array | None = None) -> Array:
+        regressors = self.chart_regressors(window, inputs)
+        return regressors @ self.chart.T if len(self.chart) else regressors
+
+    def chart_regressors(self, window: Array, inputs: Array | None = None) -> Array:
+        """ψ(ζ / window_scale), (..., ·), such that encode = chart · regressors."""
+        return self.structure.chart(self.observables(window, inputs))
+
+    def observables(self, window: Array, inputs: Array | None = None) -> Array:
+        """ζ / window_scale: (..., n_d + 1, p), (..., n_d, m) → (..., ·); inputs only if `takes_past_inputs`."""
+        order, leading = self.structure.window_order, window.shape[:-2]
+        seen = window.reshape(*leading, -1)
+        if self.takes_past_inputs:
+            seen = namespace(seen).concatenate([seen, inputs.reshape(*leading, -1)], -1)
+        if order != tuple(range(seen.shape[-1])):
+            seen = seen[..., on_device(seen, np.array(order))]
+        return seen / self.window_scale if len(self.window_scale) else seen
+
+    def decode(self, z: Array) -> Array:
+        return self.output_form(z)
+
+    def decode_window(self, z: Array) -> Array:
+        """The whole window w(z), (..., n) → (..., n_d + 1, p), of a model whose parametrization has all its rows."""
+        return self.window_form(z).reshape(*z.shape[:-1], -1, self.output_dim)
+
+    def linearize_output(self, z: Array) -> OutputLinearization:
+        form = self.output_form
+        closure = form.monomials.multiplied_out(z)
+        C, y = form.jacobian(closure, 0, self.state_dim), form.monomials.chosen(closure) @ form.table.T
+        return OutputLinearization(C, y - (C @ z[..., None])[..., 0])
+
+    def joint(self, z: Array, u: Array) -> tuple[Array, Array]:
+        """(s(z), u), (..., n + m), and the slopes of s, (..., n)."""
+        xp = namespace(z)
+        within, slopes = saturated(z, self.edge, xp.tanh)
+        return xp.concatenate([within, u], -1), slopes
+
+    def dynamics_regressors(self, z: Array, u: Array) -> Array:
+        """φ(z, u) with s(z) in place of z beyond the linear terms, (..., q), such that f = dynamics · regressors."""
+        xp = namespace(z)
+        if not self.structure.saturated:
+            return self.structure.dynamics(xp.concatenate([z, u], -1))
+        seen = self.structure.dynamics(self.joint(z, u)[0])
+        return xp.concatenate([seen, z], -1)[..., on_device(seen, self._beyond_linear)]
+
+    @cached_property
+    def _beyond_linear(self) -> np.ndarray:
+        """Positions in [φ, z] of the regressors: linear ones are entries of z itself."""
+        count = len(self.structure.dynamics)
+        return np.array([count + row[0] if len(row) == 1 and row[0] < self.state_dim else k
+                         for k, row in enumerate(self.structure.dynamics.factors)], dtype=np.int64)
+
+    def rate(self, z: Array, u: Array) -> Array:
+        """f(z, u), (..., ·): dz/dt of a flow."""
+        return self.dynamics_regressors(z, u) @ self.dynamics.T
+
+    def rate_jacobians(self, z: Array, u: Array) -> tuple[Array, Array]:
+        """∂f/∂z (..., ·, n) and ∂f/∂u (..., ·, m)."""
+        xp, n, form = namespace(z), self.state_dim, self.dynamics_form
+        if not self.structure.saturated:
+            closure = form.monomials.multiplied_out(xp.concatenate([z, u], -1))
+            return form.jacobian(closure, 0, n), form.jacobian(closure, n, n + self.input_dim)
+        joint, slopes = self.joint(z, u)
+        closure = form.monomials.multiplied_out(joint)
+        slopes = slopes[..., None, :]
+        by_state = slopes * form.jacobian(closure, 0, n) + (1.0 - slopes) * self.linear_part
+        return by_state, form.jacobian(closure, n, n + self.input_dim)
+
+    def advance(self, z: Array, u: Array) -> Array:
+        """State one base_timestep later, of a map or an Euler step, (..., n)."""
+        found = self.rate(z, u)
+        if self.structure.scheme == "euler":
+            return z + self.base_timestep * found
+        return self.structure.chart(found) if self.structure.relift else found
+
+    def advance_linearization(self, z: Array, u: Array) -> tuple[Array, Array, Array]:
+        """`advance`, and its Jacobians ∂z⁺/∂z (..., n, n) and ∂z⁺/∂u (..., n, m)."""
+        F, G = self.rate_jacobians(z, u)
+        if self.structure.scheme == "euler":
+            h = self.base_timestep
+            return self.advance(z, u), identity(z, self.state_dim) + h * F, h * G
+        if self.structure.relift:
+            lifted = self.structure.chart.jacobian(self.rate(z, u))
+            F, G = lifted @ F, lifted @ G
+        return self.advance(z, u), F, G
+
+    def step(self, z: Array, u: Array) -> Array:
+        if self.flow:
+            return rk4_step(lambda x: self.rate(x, u), z, self.timestep, self.substeps)
+        return repeated_map(lambda x: self.advance(x, u), z, self.repeats)
+
+    def step_jacobians(self, z: Array, u: Array) -> tuple[Array, Array, Array]:
+        """`step`, ∂z⁺/∂z (..., n, n) and ∂z⁺/∂u (..., n, m)."""
+        if self.flow:
+            return rk4_linearization(lambda x: self.rate(x, u), lambda x: self.rate_jacobians(x, u), z,
+                                     identity(z, self.state_dim), self.timestep, self.substeps)
+        return map_linearization(lambda x: self.advance_linearization(x, u), z, self.repeats)
+
+    def linearize(self, z: Array, u: Array) -> Linearization:
+        return around(*self.step_jacobians(z, u), z, u)
+
+
+def _check(model: PolynomialModel) -> None:
+    structure, n = model.structure, model.state_dim
+    if structure.scheme not in SCHEMES:
+        raise ValueError(f"scheme is {structure.scheme!r}; expected one of {SCHEMES}")
+    if structure.relift and structure.scheme != "map":
+        raise ValueError(f"scheme is {structure.scheme!r} with relift; only a map's observables are lifted anew")
+    if structure.chart.variables != len(structure.window_order):
+        raise ValueError(f"the chart has {structure.chart.variables} variables, window_order "
+                         f"{len(structure.window_order)} entries; expected as many")
+    rows = structure.chart.variables if structure.relift else n
+    lifted = len(model.chart) == 0
+    expected = {"chart": ((0 if lifted else n), len(structure.chart)),
+                "dynamics": (rows, len(structure.dynamics)),
+                "parametrization": (len(model.parametrization), len(structure.parametrization))}
+    for name, shape in expected.items():
+        if tuple(getattr(model, name).shape) != shape:
+            raise ValueError(f"the table {name} has shape {tuple(getattr(model, name).shape)}; {n} states and the "
+                             f"structure need {shape}")
+    if lifted and len(structure.chart) != n:
+        raise ValueError(f"z is the chart's monomials themselves, {len(structure.chart)} of them; state_scale has {n}")
+    if (structure.dynamics.variables, structure.parametrization.variables) != (n + model.input_dim, n):
+        raise ValueError(f"the dynamics have {structure.dynamics.variables} variables and the parametrization "
+                         f"{structure.parametrization.variables}; expected n + m = {n + model.input_dim} and n = {n}")
+    if model.flow:
+        if int(model.substeps) != model.substeps or model.substeps < 1:
+            raise ValueError(f"substeps is {model.substeps}; expected a whole number, 1 or more")
+    else:
+        if model.base_timestep is None:
+            object.__setattr__(model, "base_timestep", model.timestep)
+        _ = model.repeats

@@ -1,0 +1,167 @@
+"""Any reduced model as a Torch module: for Lightning, torch.func, torch.compile, torch.export, and a user's own loss."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from inspect import signature
+from typing import ClassVar, Self
+
+import torch
+from torch import Tensor, nn
+
+from ssmr_torch.models.base import Linearization, Model, OutputLinearization, Rollout
+from ssmr_torch.models.polynomial import PolynomialModel, Structure
+
+
+@torch.no_grad()
+def fill(pairs) -> None:
+    """Copy arrays into parameters or buffers, [(tensor, array), …]. Raises ValueError where a shape differs."""
+    for tensor, array in pairs:
+        if tuple(tensor.shape) != tuple(array.shape):
+            raise ValueError(f"a table has shape {tuple(array.shape)}; the declared sizes and degrees need "
+                             f"{tuple(tensor.shape)}")
+        tensor.copy_(torch.as_tensor(array))
+
+
+def table(*shape: int) -> nn.Parameter:
+    """A table of coefficients, zero until a fit puts them in place."""
+    return nn.Parameter(torch.zeros(shape, dtype=torch.float64))
+
+
+class TorchModel(nn.Module, ABC):
+    """A `Model` on parameters of its own: `reduced` builds it, and all mathematics is its.
+
+    A subclass declares, beside its equation, its parameters, and gives the family's `Model` on them as `reduced`. Its
+    constructor's arguments are attributes of the same names, plain values: with the state dict they rebuild the module.
+    Sizes, delays and timesteps as in `Model`; window_timestep None: the timestep.
+    given: arguments that the data give a training, unless a configuration names them.
+    Raises ValueError for sizes that are no positive whole numbers, or times that are not positive.
+    """
+
+    given: ClassVar[tuple[str, ...]] = ("input_dim", "output_dim", "timestep", "window_timestep")
+
+    def __init__(self, state_dim: int, input_dim: int, output_dim: int, delays: int, timestep: float,
+                 window_timestep: float | None):
+        super().__init__()
+        window_timestep = timestep if window_timestep is None else window_timestep
+        for name, size in (("state_dim", state_dim), ("input_dim", input_dim), ("output_dim", output_dim)):
+            if int(size) != size or size < 1:
+                raise ValueError(f"{name} is {size}; expected a positive integer")
+        if int(delays) != delays or delays < 0:
+            raise ValueError(f"delays is {delays}; expected 0 or more, a whole number (a window holds delays + 1 "
+                             "samples)")
+        if not (timestep > 0 and window_timestep > 0):
+            raise ValueError(f"timestep {timestep} s and window_timestep {window_timestep} s must be positive")
+        self.state_dim, self.input_dim, self.output_dim = int(state_dim), int(input_dim), int(output_dim)
+        self.delays = int(delays)
+        self.timestep, self.window_timestep = float(timestep), float(window_timestep)
+        self.register_buffer("state_scale", torch.full((self.state_dim,), torch.inf, dtype=torch.float64))
+
+    @property
+    @abstractmethod
+    def reduced(self) -> Model:
+        """The family's `Model` on this module's own parameters; gradients flow through it."""
+
+    @property
+    def sizes(self) -> dict:
+        """What every `Model` takes beside its own arrays."""
+        return {"state_scale": self.state_scale, "input_dim": self.input_dim, "output_dim": self.output_dim,
+                "delays": self.delays, "timestep": self.timestep, "window_timestep": self.window_timestep}
+
+    @property
+    def window_dim(self) -> int:
+        """Number of values in a window, (n_d + 1) p."""
+        return (self.delays + 1) * self.output_dim
+
+    @property
+    def arguments(self) -> dict:
+        """Constructor arguments, plain values: with the state dict they rebuild the module."""
+        return {name: getattr(self, name) for name in signature(type(self)).parameters}
+
+    def forward(self, window: Tensor, window_inputs: Tensor, inputs: Tensor) -> Tensor:
+        """Outputs (..., H, p) at the ends of the next H steps under inputs (..., H, m), see `encode` for the others."""
+        return self.decode(self.reduced.states(self.encode(window, window_inputs), inputs)[..., 1:, :])
+
+    def encode(self, window: Tensor, inputs: Tensor | None = None) -> Tensor:
+        """Chart z = v(window): (..., n_d + 1, p), inputs held between its samples (..., n_d, m) → (..., n)."""
+        return self.reduced.encode(window, inputs)
+
+    def decode(self, z: Tensor) -> Tensor:
+        """Newest sample of the parametrization y = w(z): (..., n) → (..., p)."""
+        return self.reduced.decode(z)
+
+    def step(self, z: Tensor, u: Tensor) -> Tensor:
+        """State one `timestep` later with u held: (..., n), (..., m) → (..., n)."""
+        return self.reduced.step(z, u)
+
+    def linearize(self, z: Tensor, u: Tensor) -> Linearization:
+        """First-order expansion of `step`, batched over the leading dimensions."""
+        return self.reduced.linearize(z, u)
+
+    def linearize_output(self, z: Tensor) -> OutputLinearization:
+        """First-order expansion of `decode`, batched over the leading dimensions."""
+        return self.reduced.linearize_output(z)
+
+    def rollout(self, z: Tensor, inputs: Tensor) -> Rollout:
+        """States under inputs (..., H, m) held one timestep each, from z (..., n), and where they diverged."""
+        return self.reduced.rollout(z, inputs)
+
+    def at_timestep(self, timestep: float) -> Self:
+        """The same model with `step` covering another time in s; the spacing of the window stays."""
+        again = type(self)(**(self.arguments | {"timestep": float(timestep)}))
+        again.load_state_dict(self.state_dict())
+        return again
+
+
+class PolynomialTorchModel(TorchModel):
+    """A `PolynomialModel` as a module.
+
+    A subclass sets `structure` in its constructor, and one parameter for each name in `tables`: which parameters, side
+    by side, make each table of the model. What is trained, its coefficients and their sensitivities, follow from that.
+    `substeps` belongs to flows, `base_timestep` to maps and Euler steps.
+    """
+
+    tables: ClassVar[dict[str, tuple[str, ...]]] = {
+        "chart": ("chart",), "parametrization": ("parametrization",), "dynamics": ("dynamics",)}
+    structure: Structure
+    substeps: int = 1
+    base_timestep: float | None = None
+
+    @property
+    def reduced(self) -> PolynomialModel:
+        return PolynomialModel(structure=self.structure, substeps=self.substeps, base_timestep=self.base_timestep,
+                               **{name: self._joined(parts) for name, parts in self.tables.items()}, **self.sizes)
+
+    def _joined(self, parts: tuple[str, ...]) -> Tensor:
+        found = [getattr(self, part) for part in parts]
+        return found[0] if len(found) == 1 else torch.cat(found, dim=-1)
+
+
+class FixedModel(TorchModel):
+    """A `Model` that is not trained any more, as a module: its arrays are buffers."""
+
+    def __init__(self, model: Model):
+        super().__init__(model.state_dim, model.input_dim, model.output_dim, model.delays, model.timestep,
+                         model.window_timestep)
+        self.model = model
+        for name, array in model.arrays.items():
+            tensor = torch.tensor(array, dtype=torch.float64)
+            # torch.export cannot store what is registered and empty
+            self.__dict__.pop(name, None)
+            if tensor.numel():
+                self.register_buffer(name, tensor)
+            else:
+                object.__setattr__(self, name, tensor)
+
+    @property
+    def reduced(self) -> Model:
+        from dataclasses import replace
+
+        return replace(self.model, **{name: getattr(self, name) for name in self.model.array_names()})
+
+
+def check_degrees(**degrees: int) -> None:
+    """Raises ValueError for a degree that is no whole number, or below 1."""
+    for name, degree in degrees.items():
+        if int(degree) != degree or degree < 1:
+            raise ValueError(f"{name} is {degree}; expected 1 or more")
