@@ -1,8 +1,50 @@
 """Learn the dominant dynamics of continuum robots on spectral submanifolds, and control the robots with them.
 
-Plant ─collect→ Trajectories ─train→ ReducedModel ─export→ Artifact ─→ Controller ⟲ Plant ─→ ClosedLoopRecord ─→ report
+Plant ─collect→ Trajectories ─fit→ Model ─export→ Artifact ─→ Controller ⟲ Plant ─→ ClosedLoopRecord ─→ report
 
-Units are SI throughout (m, s, kg, N). Observations are displacements from the rest position.
+    import ssmr_torch as ssmr
+
+    data = ssmr.read("robot.yaml")                 # recordings by a card; ssmr.load("trajectories.h5"); or from arrays:
+    data = ssmr.trajectories(decays=[(t, y, u), …], controlled=[(t, y, u), …], test=[(t, y, u)])
+    model = ssmr.fit(data, "ssmr", state_dim=6)    # a TrainedModel
+    print(ssmr.score(model, data))                 # horizons × (model, persistence, constant velocity)
+    outputs = model.predict(window, inputs)
+    model.save("artifact"); model = ssmr.load("artifact")
+    controller = ssmr.ModelPredictiveController(model.reduced, task, plant.input_bounds,
+                                                output_names=plant.output_names)
+    record = ssmr.simulate(plant, controller, task)
+
+Units are SI throughout (m, s, kg, N). Observations are displacements from the rest position. Every object prints itself
+as its data sheet. A name is imported when it is first used: importing the package alone loads nothing heavy.
 """
 
-__version__ = "0.7.1"
+from typing import TYPE_CHECKING
+
+from ssmr_torch.lazy import lazily
+
+__version__ = "0.8.0"
+
+if TYPE_CHECKING:
+    from ssmr_torch import plants, tasks
+    from ssmr_torch.closed_loop import ClosedLoopRecord
+    from ssmr_torch.control.mpc import ModelPredictiveController
+    from ssmr_torch.control.settings import PredictiveControlSettings
+    from ssmr_torch.data.arrays import trajectories
+    from ssmr_torch.face import load, read, simulate
+    from ssmr_torch.fitting.by_kind import fit
+    from ssmr_torch.score_table import score
+    from ssmr_torch.trained_model import TrainedModel
+    from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
+
+__all__ = ["ClosedLoopRecord", "ModelPredictiveController", "PredictiveControlSettings", "TrainedModel", "Trajectory",
+           "TrajectoryDataset", "fit", "load", "plants", "read", "score", "simulate", "tasks", "trajectories"]
+
+__getattr__, __dir__ = lazily(__name__, {
+    **{name: f"ssmr_torch.face:{name}" for name in ("load", "read", "simulate")},
+    "trajectories": "ssmr_torch.data.arrays:trajectories", "fit": "ssmr_torch.fitting.by_kind:fit",
+    "score": "ssmr_torch.score_table:score", "TrainedModel": "ssmr_torch.trained_model:TrainedModel",
+    "Trajectory": "ssmr_torch.trajectory:Trajectory", "TrajectoryDataset": "ssmr_torch.trajectory:TrajectoryDataset",
+    "ClosedLoopRecord": "ssmr_torch.closed_loop:ClosedLoopRecord",
+    "ModelPredictiveController": "ssmr_torch.control.mpc:ModelPredictiveController",
+    "PredictiveControlSettings": "ssmr_torch.control.settings:PredictiveControlSettings",
+    "plants": "ssmr_torch.plants:", "tasks": "ssmr_torch.tasks:"})

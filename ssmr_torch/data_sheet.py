@@ -115,6 +115,16 @@ def spans(names: Sequence[str], low: Sequence[float], high: Sequence[float], uni
     return dict(list(ranges.items())[:MOST]) | {"…": f"{len(ranges) - MOST} more"}
 
 
+def stability(rates: Iterable[complex]) -> str:
+    """How fast the slowest mode decays, of rates in 1/s; those that stand still, of constants, are left out."""
+    slowest = max((complex(rate) for rate in rates if abs(rate) > 1e-9), key=lambda rate: rate.real, default=None)
+    if slowest is None:
+        return "no mode moves"
+    turning = f" ± {number(abs(slowest.imag))}i" if abs(slowest.imag) > 1e-9 else ""
+    verdict = "margin" if slowest.real < 0 else "unstable"
+    return f"{verdict} {number(abs(slowest.real))} 1/s, slowest mode {number(slowest.real)}{turning} 1/s"
+
+
 def unit_of(input_unit: str) -> str:
     """How an input's unit is written: none for normalized commands."""
     return "" if input_unit == "1" else input_unit

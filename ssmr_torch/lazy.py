@@ -1,4 +1,4 @@
-"""Names of a package that are imported when they are asked for, so that importing the package itself costs nothing."""
+"""Names that are imported when they are asked for, so that a package which offers them costs nothing to import."""
 
 from __future__ import annotations
 
@@ -6,21 +6,34 @@ import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
 
+from ssmr_torch.extras import remedy
+
+
+def found(home: str):
+    """What "module:attribute" names; "module:" is the module itself.
+
+    Raises ModuleNotFoundError, with the extra that brings it, where a package is missing.
+    """
+    module, _, attribute = home.partition(":")
+    try:
+        imported = import_module(module)
+    except ModuleNotFoundError as error:
+        if remedy(error) is None:
+            raise
+        raise ModuleNotFoundError(remedy(error), name=error.name) from error
+    return getattr(imported, attribute) if attribute else imported
+
 
 def lazily(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of a package that offers names which live elsewhere.
+    """`__getattr__` and `__dir__` of a package whose names live elsewhere; homes: of each name, as in `found`.
 
-    homes: "module:attribute" of each name, "module:" where the name is that module. Raises AttributeError, with the
-    names that exist, for others.
+    Raises AttributeError, with the names that exist, for others.
     """
     def get(name: str):
         if name not in homes:
             raise AttributeError(f"{package} has no {name!r}; it has {', '.join(sorted(homes))}", name=name,
                                  obj=sys.modules[package])
-        module, _, attribute = homes[name].partition(":")
-        found = import_module(module)
-        found = getattr(found, attribute) if attribute else found
-        setattr(sys.modules[package], name, found)
-        return found
+        setattr(sys.modules[package], name, found(homes[name]))
+        return vars(sys.modules[package])[name]
 
     return get, lambda: sorted(homes)

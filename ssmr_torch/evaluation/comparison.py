@@ -18,13 +18,14 @@ def comparison_table(scores: Mapping[str, OpenLoopScore], costs: Mapping[str, Ma
     for name, score in scores.items():
         cost = costs.get(name, {})
         worst = max(part.diverged for part in score.horizons)
-        lines.append(" | ".join([name, *(_cell(part) for part in score.horizons), f"{100 * worst:.3g} %",
+        lines.append(" | ".join([name, *(mean_and_median(part) for part in score.horizons), f"{100 * worst:.3g} %",
                                  *(_number(cost.get(key)) for key in ("state_dim", "parameters")),
                                  f"{cost['fit_time']:.3g} s" if cost.get("fit_time") else "–"]))
     return "\n".join(f"| {line} |" for line in lines)
 
 
-def _cell(part: HorizonScore) -> str:
+def mean_and_median(part: HorizonScore) -> str:
+    """"mean / median" of one horizon in mm, three digits."""
     return f"{_millimetres(part.mean)} / {_millimetres(part.median)}"
 
 

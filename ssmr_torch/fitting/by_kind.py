@@ -1,0 +1,130 @@
+"""A model by its kind: what `ssmr train model=KIND` does, on a dataset in memory and without files."""
+
+from __future__ import annotations
+
+import logging
+import random
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from difflib import get_close_matches
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import lightning
+import numpy as np
+import torch
+
+from ssmr_torch import configuration
+from ssmr_torch.fitting.checkpoints import load_model
+from ssmr_torch.fitting.options import dotted
+from ssmr_torch.fitting.training import Training, train
+from ssmr_torch.provenance import provenance
+from ssmr_torch.silence import LIGHTNING, quiet
+from ssmr_torch.trained_model import TrainedModel
+from ssmr_torch.trajectory import TrajectoryDataset
+
+GROUPS = ("fit", "derivative", "plant", "trainer", "experiment")  # options that choose a file of conf/
+
+
+def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name: str | None = None,
+        directory: str | Path | None = None, progress: bool | None = None, **options) -> TrainedModel:
+    """Fit a model to the training runs of a dataset, exactly as `ssmr train model=KIND` does, and score it.
+
+    kind: a name of conf/model: "ssmr" (spectral submanifold), "sssr" (its linear counterpart), "dmd", "edmd",
+    "edmd_bilinear", "ssmr_control_augmented", "neural_ode", "tpwl", …; None chooses "ssmr", and says so.
+    options: keys of the configuration with their values, by their last name where it is one of a kind (state_dim=8,
+    transient=0.2 s, ridge=1e-6) or by the whole one, **{"fit.refinement.epochs": 0}; and fit, derivative, plant,
+    experiment, which choose one of conf/.  seed: of all that is drawn. name: in tables; by default that of the kind.
+    directory: keeps the checkpoints and model.ckpt as the command does; None: no file is written.
+    progress: bars and a sentence on what was found; None: bars only where a refinement takes longer; False: silence.
+
+    Returns a `TrainedModel`. Raises TypeError for an option that does not exist, with the nearest one, ValueError for
+    data or values that cannot be fitted, before any work.
+
+    >>> model = fit(data, "dmd", delays=1, progress=False)                                  # data: see `trajectories`
+    >>> window, inputs = data[-1].observation[:2], data[-1].input[1:4]
+    >>> model.predict(window, inputs, past_inputs=data[-1].input[:1]).shape
+    (3, 2)
+    """
+    chosen, said = _kind(kind)
+    groups = {group: options.pop(group) for group in GROUPS if isinstance(options.get(group), str)}
+    config = configuration.composed("train", [f"model={chosen}", "logger=csv", f"seed={seed}", *(
+        f"{group}={choice}" for group, choice in groups.items())])
+    given = {"name": name or chosen.upper()}
+    plain = configuration.plain(config, without=("data", "logger", "name"))
+    given |= {key: _plain(value) for key, value in dotted(options, plain).items()}
+    config = configuration.changed(config, given)
+    if progress is not False and said:
+        print(said)
+    with TemporaryDirectory() as aside, _as_found():
+        quiet()
+        lightning.seed_everything(config.seed, workers=True, verbose=False)
+        training, card = _trained(config, data, Path(directory or aside), progress)
+    if progress is not False:
+        print(_sentence(training, card))
+    return TrainedModel(training.model.reduced.numpy(), card, training.model, training.report)
+
+
+def _trained(config, data: TrajectoryDataset, directory: Path, progress: bool | None) -> tuple[Training, dict]:
+    """The training, and what an artifact's card says of it."""
+    dataset = data.observing(config.outputs)
+    made = provenance(configuration.plain(config, without=("data", "logger"))) | {"name": config.name}
+    build = configuration.built(config.trainer)
+
+    def trainer(**settings):
+        # a closed form is over in a moment; a refinement validates after every epoch
+        refines = settings["check_val_every_n_epoch"] == 1
+        return build(**settings, enable_progress_bar=bool(progress) or progress is None and refines)
+
+    training = train(dataset, model=configuration.built(config.model), module=configuration.built(config.module),
+                     fits={step: configuration.built(node) for step, node in config.fit.items()}, trainer=trainer,
+                     directory=directory, name=config.name, origin=made)
+    _, card = load_model(training.checkpoint)
+    return training, card | {"provenance": provenance() | {"training": made, "data": dataset.provenance}}
+
+
+def _kind(kind: str | None) -> tuple[str, str]:
+    """The kind, and what is to be said of the choice. Raises ValueError for one that conf/ does not have."""
+    if kind is None:
+        return "ssmr", ('fitting "ssmr", a spectral submanifold of six dimensions, with which most soft robots begin; '
+                        'fit(data, "sssr") is its linear counterpart')
+    known = sorted(path.stem for path in (configuration.folder() / "model").glob("*.yaml"))
+    if kind not in known:
+        near = get_close_matches(str(kind).lower(), known, n=1, cutoff=0.0)[0]
+        raise ValueError(f"no kind of model {kind!r}; did you mean {near!r}? There are {', '.join(known)}")
+    return kind, ""
+
+
+def _plain(value):
+    """A value as YAML could hold it: no NumPy, no tuples."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if isinstance(value, (tuple, list)):
+        return [_plain(each) for each in value]
+    return {key: _plain(each) for key, each in value.items()} if isinstance(value, dict) else value
+
+
+def _sentence(training: Training, card: dict) -> str:
+    """One line on what was found, and one for each warning of the fit."""
+    part = "test" if "test/rmse" in training.scores else "validation"
+    score = training.scores.get(f"{part}/rmse")
+    error = "" if score is None else f", {part} RMSE {1e3 * score:.3g} mm"
+    cost = training.cost
+    lines = [f"{card['name']}: {cost['state_dim']:.0f} states, {cost['parameters']:.0f} parameters from "
+             f"{cost['decays']:.0f} decays and {cost['controlled_samples']:.0f} samples of controlled runs{error}"]
+    lines += [f"look here: {warning}" for report in training.report.values() for warning in report["warnings"]]
+    return "\n".join(lines)
+
+
+@contextmanager
+def _as_found() -> Iterator[None]:
+    """Leave the random numbers, warnings and log level of a notebook as they were."""
+    log = logging.getLogger(LIGHTNING)
+    states, level = (random.getstate(), np.random.get_state(), torch.get_rng_state()), log.level
+    try:
+        with warnings.catch_warnings():
+            yield
+    finally:
+        random.setstate(states[0]), np.random.set_state(states[1]), torch.set_rng_state(states[2])
+        log.setLevel(level)

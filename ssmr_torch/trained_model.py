@@ -1,0 +1,224 @@
+"""A fitted model with what is known of its data: what `fit` gives, what an artifact holds, what predicts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from ssmr_torch import artifact
+from ssmr_torch import data_sheet as sheet
+from ssmr_torch.data_sheet import DataSheet
+from ssmr_torch.evaluation.predictors import as_predictor
+from ssmr_torch.models.base import Model
+from ssmr_torch.periods import whole_multiple
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TrainedModel(DataSheet):
+    """z = v(window), z⁺ = f(z, u), y = w(z), with the names, units and ranges of the data behind it.
+
+    reduced: the model as plain arrays, what controllers take. card: plain values: name, output_names, input_names,
+    input_unit, rest (p,) m, input_range (2, m), sampling_time s, scores, cost, provenance. module: the torch.nn.Module
+    that was fitted, None of an artifact. report: what determined each fit, empty of an artifact.
+
+    `ssmr_torch.fit` and `ssmr_torch.load` give one; see `predict`, `save` and `export`.
+    """
+
+    reduced: Model
+    card: Mapping
+    module: object = None
+    report: Mapping = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, folder: str | Path) -> TrainedModel:
+        """The model of an artifact. Raises what `artifact.load` raises."""
+        loaded = artifact.load(folder)
+        return cls(loaded.model, {"input_unit": loaded.card["units"]["input"], **loaded.card})
+
+    @property
+    def name(self) -> str:
+        return self.card["name"]
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        return tuple(self.card["output_names"])
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        return tuple(self.card["input_names"])
+
+    @property
+    def input_unit(self) -> str:
+        """"N", or "1" for normalized commands."""
+        return self.card["input_unit"]
+
+    @property
+    def rest(self) -> np.ndarray:
+        """(p,) absolute position that outputs are displacements from, m."""
+        return np.array(self.card["rest"], dtype=np.float64)
+
+    @property
+    def input_range(self) -> np.ndarray:
+        """(2, m) lowest and highest input of the training."""
+        return np.array(self.card["input_range"], dtype=np.float64)
+
+    @property
+    def scores(self) -> dict[str, float]:
+        """Open-loop errors of the validation and test runs at the fit, m, by name."""
+        return dict(self.card.get("scores") or {})
+
+    @property
+    def delays(self) -> int:
+        """Samples in a window beside the newest one."""
+        return self.reduced.delays
+
+    @property
+    def timestep(self) -> float:
+        """Length of one step of the model, s."""
+        return self.reduced.timestep
+
+    @property
+    def window_timestep(self) -> float:
+        """Time between the samples of a window, s."""
+        return self.reduced.window_timestep
+
+    @property
+    def sampling_time(self) -> float:
+        """Sampling time of the recordings, s; of an artifact that does not tell, the window's."""
+        return float(self.card.get("sampling_time") or self.window_timestep)
+
+    def predict(self, window, inputs, past_inputs=None) -> np.ndarray:
+        """Outputs at the next H instants of the recording's sampling:  y_k = w(f(… f(v(window), u_0) …, u_{k-1})).
+
+        window (…, delays + 1, p): measured displacements from rest, m, newest last, `window_timestep` s apart.
+        inputs (…, H, m): held one `sampling_time` each, from the newest sample on. past_inputs (…, delays, m): those
+        held between the samples of the window; only models whose chart sees them need them. Leading dimensions are
+        broadcast. Returns (…, H, p), m, infinite from where the model leaves its range.
+
+        The model steps by the sampling time where it can. One that is coarser, fitted at a multiple of it, sees the
+        mean of the inputs over each of its steps (the last one held to the end), and its outputs are interpolated
+        linearly in between.
+        Raises ValueError for arrays of another shape, numbers that are not finite, and missing past_inputs.
+        """
+        window, inputs, past = self._arguments(window, inputs, past_inputs)
+        leading, horizon = inputs.shape[:-2], inputs.shape[-2]
+        window, inputs, past = (array.reshape(-1, *array.shape[-2:]) for array in (window, inputs, past))
+        model, stride = self._at_sampling_time
+        steps = -(-horizon // stride)
+        ahead = np.minimum(np.arange(steps * stride), horizon - 1)
+        held = inputs[:, ahead].reshape(len(inputs), steps, stride, -1).mean(axis=2)
+        outputs = as_predictor(model).predict(window, past, held)
+        if stride > 1:
+            outputs = _between(model.decode(model.encode(window, past)), outputs, stride)[:, :horizon]
+        return outputs.reshape(*leading, horizon, -1)
+
+    @cached_property
+    def _at_sampling_time(self) -> tuple[Model, int]:
+        """The model that steps by the sampling time, and 1; or as it is, and how many samples one of its steps covers.
+        """
+        if abs(self.timestep / self.sampling_time - 1.0) <= 1e-6:
+            return self.reduced, 1
+        try:
+            return self.reduced.at_timestep(self.sampling_time), 1
+        except ValueError:
+            return self.reduced, whole_multiple("the model's timestep", self.timestep, "the recording's sampling time",
+                                                self.sampling_time, "fit it at a multiple")
+
+    def _arguments(self, window, inputs, past_inputs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """All three as (…, rows, columns) with the same leading dimensions."""
+        delays, p, m = self.delays, self.reduced.output_dim, self.reduced.input_dim
+        if past_inputs is None:
+            if self.reduced.takes_past_inputs and delays:
+                raise ValueError(f"the chart of this model sees the inputs held between the {delays + 1} samples of a "
+                                 f"window; give past_inputs (…, {delays}, {m}), oldest first, zeros where the robot "
+                                 "was at rest")
+            past_inputs = np.zeros((delays, m))
+        apart = f"{self.window_timestep:g} s apart, newest last"
+        found = [
+            _array("window", window, delays + 1, p, f"samples of {sheet.listed(self.output_names)}, {apart}"),
+            _array("inputs", inputs, None, m, f"{sheet.listed(self.input_names)}, held {self.sampling_time:g} s each"),
+            _array("past_inputs", past_inputs, delays, m, "held between the samples of the window, oldest first")]
+        leading = np.broadcast_shapes(*(array.shape[:-2] for array in found))
+        return tuple(np.broadcast_to(array, leading + array.shape[-2:]) for array in found)
+
+    def save(self, folder: str | Path) -> Path:
+        """Write the artifact that runs on a robot, whole or not at all; one already there is replaced.
+
+        Raises ValueError where the folder holds other files.
+        """
+        return self._save(folder)
+
+    def export(self, folder: str | Path, *formats: str) -> list:
+        """Write the artifact with deployable forms of it, each checked against the model; returns what was written.
+
+        formats: "c" (C99), "onnx", "torch" (torch.export), "casadi". They lie in the folder's subfolder `deployed`.
+        Raises ValueError for a format that does not exist or that the model has not, one whose packages are missing,
+        and a folder that holds other files; then nothing is written.
+        """
+        from ssmr_torch.deployment.deploy import deploy
+
+        if not formats:
+            raise ValueError('no formats were given; expected some of them, such as export(folder, "c", "onnx")')
+        forms: list = []
+        self._save(folder, complete=lambda aside: forms.extend(deploy(aside, formats)))
+        return forms
+
+    def _save(self, folder: str | Path, **more) -> Path:
+        card = self.card
+        return artifact.save(folder, self.reduced, output_names=card["output_names"], input_names=card["input_names"],
+                             rest=card["rest"], input_range=card["input_range"], input_unit=card["input_unit"],
+                             name=card["name"], provenance=card.get("provenance"), scores=_finite(card.get("scores")),
+                             cost=card.get("cost"), sampling_time=self.sampling_time, **more)
+
+    def data_sheet(self) -> tuple[str, dict]:
+        model, said = self.reduced, self.card.get("provenance") or {}
+        cost, scores = self.card.get("cost") or {}, self.scores
+        entries = {
+            "outputs": f"{sheet.listed(self.output_names)}; displacement from rest, m",
+            "inputs: range of the training": sheet.spans(self.input_names, *self.input_range,
+                                                         sheet.unit_of(self.input_unit)),
+            "window": f"{self.delays + 1} samples ({self.delays} delays), {self.window_timestep:g} s apart",
+            "step": sheet.period(self.timestep), "recordings": sheet.period(self.sampling_time),
+            "stability": sheet.stability(model.rates)}
+        if scores:
+            entries["scores"] = {name: "∞" if value is None else f"{sheet.number(1e3 * value)} mm"
+                                 for name, value in sorted(scores.items()) if "rmse" in name}
+        if "decays" in cost:
+            entries["trained on"] = (f"{cost['decays']:.0f} decays, {cost['controlled_samples']:.0f} samples of "
+                                     "controlled runs")
+        entries["rest"] = f"{sheet.listed(sheet.number(1e3 * x) for x in self.rest)} mm"
+        made = sheet.origin(said.get("training") or said)
+        sizes = f"{model.state_dim} states, {model.input_dim} inputs, {model.output_dim} outputs"
+        return f"TrainedModel {self.name}: {sizes}", entries | sheet.origin(said.get("data") or {}) | made
+
+
+def _array(what: str, given, rows: int | None, columns: int, meaning: str) -> np.ndarray:
+    """(…, rows, columns), rows None for any number but none. Raises ValueError for other shapes, or not finite numbers.
+    """
+    array = np.asarray(given, dtype=np.float64)
+    fits = array.ndim >= 2 and array.shape[-1] == columns and array.shape[-2] == (rows if rows is not None
+                                                                                  else array.shape[-2] or 1)
+    if not fits:
+        raise ValueError(f"{what} has shape {array.shape}; expected (…, {'H' if rows is None else rows}, {columns}): "
+                         f"{meaning}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{what} holds numbers that are not finite; predict from samples that were measured")
+    return array
+
+
+def _between(first: np.ndarray, outputs: np.ndarray, stride: int) -> np.ndarray:
+    """Outputs (N, S, p) every `stride` samples, and (N, p) before them, at all S · stride samples, linearly."""
+    knots = np.concatenate([first[:, None], outputs], axis=1)
+    share = np.tile(np.arange(1, stride + 1) / stride, outputs.shape[1])[:, None]
+    low, high = (np.repeat(array, stride, axis=1) for array in (knots[:, :-1], knots[:, 1:]))
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isfinite(high), low + share * (high - low), np.inf)
+
+
+def _finite(scores: Mapping | None) -> dict[str, float]:
+    """Scores as `artifact.save` takes them: what is unknown was infinite."""
+    return {name: np.inf if value is None else value for name, value in (scores or {}).items()}
