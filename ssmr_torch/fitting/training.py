@@ -161,15 +161,14 @@ def data_card(dataset: TrajectoryDataset, training: tuple) -> dict:
 
     Raises ValueError when an input never changes.
     """
-    inputs = np.stack([_range(run, 1) for run in training])
-    outputs = np.stack([_range(run, 0) for run in training])
+    outputs, inputs = (np.stack(ranges) for ranges in zip(*(run.extremes() for run in training)))
     lowest, highest = inputs[:, 0].min(0), inputs[:, 1].max(0)
     still = [f"{name} ({level:g})" for name, level, top in zip(dataset.input_names, lowest, highest) if level == top]
     if still:
         raise ValueError(f"inputs that never change in the training data: {', '.join(still)}; their effect cannot be "
                          "learned, so leave these columns out or record runs that use them")
     return {"output_names": list(dataset.output_names), "input_names": list(dataset.input_names),
-            "input_unit": dataset.input_unit, "rest": dataset.rest.tolist(),
+            "input_unit": dataset.input_unit, "sampling_time": dataset.timestep, "rest": dataset.rest.tolist(),
             "input_range": [lowest.tolist(), highest.tolist()],
             "output_range": [outputs[:, 0].min(0).tolist(), outputs[:, 1].max(0).tolist()],
             "data": dataset.provenance}
@@ -202,10 +201,3 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
     undone = "" if improved else (f"The refinement was undone: its best validation error, {1e3 * best:.4g} mm, is not "
                                   f"below the {1e3 * bar:.4g} mm it started from.")
     return {name: float(value) for name, value in scores.items()}, undone, duration
-
-
-def _range(trajectory, which: int) -> np.ndarray:
-    """(2, columns): lowest and highest value, read in stretches."""
-    stretches = [trajectory.slice(start, min(start + 65536, trajectory.length))[which]
-                 for start in range(0, trajectory.length, 65536)]
-    return np.stack([np.min([s.min(0) for s in stretches], axis=0), np.max([s.max(0) for s in stretches], axis=0)])
