@@ -1,7 +1,10 @@
-"""Seeds, one thread, where the real measurements are, and the benchmark's oscillators."""
+"""Seeds, one thread, where the real measurements are, the benchmark's oscillators, and the wheel."""
 
 import importlib.util
 import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,8 +13,9 @@ import torch
 from ssmr_torch.data.windows import SegmentDataset
 from ssmr_torch.fitting.exact import ExactSolve
 
-MEASUREMENTS = Path(os.environ.get("SSMR_TORCH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
-BENCHMARK = Path(__file__).parents[1] / "experiments" / "benchmarks" / "control_step.py"
+ROOT = Path(__file__).resolve().parents[1]
+MEASUREMENTS = Path(os.environ.get("SSMR_TORCH_DATA", ROOT.parent / "shared" / "data"))
+BENCHMARK = ROOT / "experiments" / "benchmarks" / "control_step.py"
 
 
 @pytest.fixture(autouse=True)
@@ -61,3 +65,17 @@ def bench():
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory):
+    """The package's wheel, built from a copy of its sources, so that nothing is left in the checkout."""
+    sources, built = tmp_path_factory.mktemp("sources"), tmp_path_factory.mktemp("built")
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, sources)
+    for name in ("ssmr_torch", "conf", "experiments"):
+        shutil.copytree(ROOT / name, sources / name, ignore=shutil.ignore_patterns("__pycache__"))
+    subprocess.run([sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", built, sources],
+                   check=True)
+    [path] = built.glob("*.whl")
+    return path

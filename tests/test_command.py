@@ -1,0 +1,175 @@
+"""The command: what it lists, refuses and completes, and that it is the script of the same name."""
+
+import os
+import re
+import runpy
+import shlex
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+from ssmr_torch import __version__, command, extras
+
+ROOT = Path(__file__).resolve().parents[1]
+CONF, EXPERIMENTS = ROOT / "conf", ROOT / "experiments"
+SSMR = Path(sys.executable).with_name("ssmr")
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), ROOT / "docs/tutorials/your_own_data.py",
+             *(command.script(name) for name in command.COMMANDS)]
+NAMED = re.compile(rf"\bssmr ({'|'.join(command.COMMANDS)})\b((?: (?![|#])(?:\\\n)?[^`#\n;]*)?)")
+OF_THE_READER = re.compile(r"…|^[A-Z]+$|^(MODEL|EXPERIMENT|ROBOT)")  # what stands for something of the reader's own
+
+
+def ssmr(*arguments, **environment):
+    return subprocess.run([SSMR, *arguments], capture_output=True, text=True, env=os.environ | environment)
+
+
+def said(capsys, monkeypatch, *arguments):
+    """Exit status, standard output and standard error of the command in this process."""
+    monkeypatch.setattr(sys, "argv", ["ssmr", *arguments])
+    status = command.main()
+    return status, *capsys.readouterr()
+
+
+@pytest.mark.parametrize("ask", [[], ["--help"], ["-h"]])
+def test_help_lists_every_command_with_a_sentence(ask, capsys, monkeypatch):
+    status, text, _ = said(capsys, monkeypatch, *ask)
+    assert status == 0
+    for name in command.COMMANDS:
+        assert re.search(rf"(?m)^  {name} +\S.{{30,}}\.$", text), name
+
+
+def test_every_script_with_a_configuration_is_a_command():
+    scripts = {path.stem for path in EXPERIMENTS.glob("*.py")} & {path.stem for path in CONF.glob("*.yaml")}
+    assert {name.replace("-", "_") for name in command.COMMANDS} == scripts
+
+
+def test_help_and_refusals_import_neither_torch_nor_hydra():
+    code = ("import sys; from ssmr_torch.command import main; sys.argv = ['ssmr', '--help']; main(); "
+            "sys.argv = ['ssmr', 'nothing']; main(); "
+            "print(sorted({'torch', 'hydra', 'numpy'} & set(sys.modules)))")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_the_version_is_the_packages(capsys, monkeypatch):
+    assert said(capsys, monkeypatch, "--version")[:2] == (0, f"ssmr_torch {__version__}\n")
+    assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"] == __version__
+
+
+def test_an_unknown_command_is_refused_with_the_list_and_the_nearest_one(capsys, monkeypatch):
+    status, _, complaint = said(capsys, monkeypatch, "trian", "model=ssmr")
+    assert status == 2 and "no command 'trian'; did you mean train?" in complaint
+    assert ", ".join(command.COMMANDS) in complaint
+    assert "did you mean" not in said(capsys, monkeypatch, "nothing")[2]
+
+
+def test_help_of_a_command_is_hydras():
+    text = ssmr("train", "--help").stdout
+    assert "== Configuration groups ==" in text and "model: dmd, edmd" in text
+
+
+@pytest.mark.parametrize("name", command.COMMANDS)
+def test_a_command_and_its_script_compose_the_same_configuration(name, capsys, monkeypatch, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "robot.yaml").write_text("gripper: 3\n")
+    options = ["--config-dir", str(tmp_path), "+mine=robot", "--cfg", "all"]
+    status, composed, _ = said(capsys, monkeypatch, name, *options)
+    script = EXPERIMENTS / f"{name.replace('-', '_')}.py"
+    monkeypatch.setattr(sys, "argv", [str(script), *options])
+    runpy.run_path(str(script), run_name="__main__")
+    assert status == 0 and "gripper: 3" in composed and "callbacks" in composed
+    assert capsys.readouterr().out == composed
+
+
+def test_composing_imports_neither_torch_nor_lightning_nor_matplotlib():
+    code = ("import sys; from ssmr_torch.command import main\n"
+            "for name in ('train', 'export', 'evaluate', 'control', 'collect'):\n"
+            "    sys.argv = ['ssmr', name, '--cfg', 'job']; main()\n"
+            "print(sorted({'torch', 'lightning', 'matplotlib', 'scipy', 'h5py', 'numba'} & set(sys.modules)))")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_a_class_of_ones_own_is_found_in_the_working_directory_and_results_lie_there(tmp_path):
+    (tmp_path / "conf" / "plant").mkdir(parents=True)
+    (tmp_path / "conf" / "plant" / "mine.yaml").write_text("_target_: my_plants.refuse\n")
+    (tmp_path / "my_plants.py").write_text("def refuse():\n    raise ValueError('a plant of my own')\n")
+    done = subprocess.run([SSMR, "collect", "--config-dir", "conf", "plant=mine"], cwd=tmp_path, capture_output=True,
+                          text=True)
+    assert done.returncode == 1 and "collect: " in done.stderr and "a plant of my own" in done.stderr
+    assert len(list((tmp_path / "outputs" / "collect").iterdir())) == 1
+
+
+@pytest.mark.parametrize(("line", "expected", "unexpected"), [
+    ("ssmr tr", {"train"}, set()), ("ssmr ", set(command.COMMANDS), set()),
+    ("ssmr train model=ss", {"model=ssmr", "model=sssr", "model=ssmr_guarded"}, {"model=dmd"}),
+    ("ssmr serve-plant plant=trunk_", {"plant=trunk_coarse"}, {"plant=diamond"}),
+    ("ssmr nothing model=", set(), {"model=ssmr"})])
+def test_the_shell_completes_commands_and_options(line, expected, unexpected):
+    script = ('eval "$(ssmr -sc install=bash)"; COMP_LINE=$1; COMP_POINT=${#1}; COMP_WORDS=($1); '
+              'COMP_CWORD=$(( ${#COMP_WORDS[@]} - 1 )); [[ $1 == *" " ]] && COMP_CWORD=${#COMP_WORDS[@]}; '
+              'hydra_bash_completion; printf "%s\\n" "${COMPREPLY[@]}"')
+    done = subprocess.run(["bash", "-c", script, "bash", line], capture_output=True, text=True, check=True,
+                          env=os.environ | {"PATH": f"{SSMR.parent}:{os.environ['PATH']}"})
+    offered = set(done.stdout.split())
+    assert expected <= offered and not unexpected & offered
+    if line == "ssmr tr":
+        assert offered == {"train"}
+
+
+def test_without_hydra_a_command_says_what_to_install():
+    code = "import sys; sys.modules['hydra'] = None; from ssmr_torch.command import main; sys.exit(main())"
+    done = subprocess.run([sys.executable, "-c", code, "train"], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr == "ssmr train: hydra is not installed: pip install 'ssmr_torch[train]'\n"
+
+
+def test_without_torch_a_command_says_what_to_install(tmp_path):
+    code = "import sys; sys.modules['lightning'] = None; from ssmr_torch.command import main; sys.exit(main())"
+    done = subprocess.run([sys.executable, "-c", code, "train", "data.path=nowhere.h5"], cwd=tmp_path,
+                          capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr == "train: lightning is not installed: pip install 'ssmr_torch[train]'\n"
+
+
+def test_every_package_that_a_message_names_is_brought_by_that_extra():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    brought = project["optional-dependencies"]
+    distributions = packages_distributions()
+    for module, extra in extras.BROUGHT_BY.items():
+        names = {name.lower() for name in distributions.get(module, [module])} | {extra == "view" and "rerun-sdk"}
+        required = {re.split(r"[\[<>=!; ]", line)[0].lower() for line in brought[extra]}
+        assert names & required or extra in ("parallel", "sweeps"), (module, extra)
+    assert len(project["dependencies"]) == 4
+
+
+def documented():
+    """(document, command, overrides) of every command that is shown with options."""
+    for path in DOCUMENTS:
+        text = path.read_text(encoding="utf-8").replace("\\\n", " ")
+        for name, rest in NAMED.findall(text):
+            words = [word for word in shlex.split(rest, posix=True) if "=" in word or word == "~tuned"]
+            kept = tuple(word for word in words if not OF_THE_READER.search(word.partition("=")[2])
+                         and not word.endswith("…"))
+            if kept:
+                yield pytest.param(name, kept, id=f"{path.name}: {name} {' '.join(kept)}")
+
+
+@pytest.fixture(scope="module")
+def configurations():
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        yield
+
+
+@pytest.mark.parametrize(("name", "words"), list(documented()))
+def test_every_documented_command_composes(name, words, configurations):
+    overrides = OverridesParser.create().parse_overrides([word for word in words if word != "--multirun"])
+    single = [f"{override.input_line.partition('=')[0]}={next(iter(override.sweep_string_iterator()))}"
+              if override.is_sweep_override() else override.input_line for override in overrides]
+    compose(name.replace("-", "_"), single, return_hydra_config=True)
