@@ -1,13 +1,14 @@
 """Configurations of the entry points as Hydra composes them; the only file of the package that knows Hydra.
 
 A YAML file holds what differs from the code. `register` makes Hydra fill each mapping that has a `_target_` with the
-defaults of what it names as it loads a file, so that all are shown by --cfg job, can be changed on the command line, and
-a misspelled one is refused.
+defaults of what it names as it loads a file: all are shown by --cfg job, can be changed on the command line, and a
+misspelled one is refused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import copy
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from importlib.util import find_spec
@@ -18,6 +19,7 @@ from hydra._internal.core_plugins import file_config_source
 from hydra._internal.sources_registry import SourcesRegistry
 from hydra.core.global_hydra import GlobalHydra
 from hydra.plugins.config_source import ConfigResult
+from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from ssmr_torch.defaults import is_library, keyword_defaults
@@ -62,6 +64,25 @@ def composed(entry: str, overrides: Sequence[str] = (), *, hydra: bool = False) 
     register()
     with _left_as_found(), initialize_config_dir(str(folder()), version_base="1.3"):
         return compose(entry, list(overrides), return_hydra_config=hydra)
+
+
+def plain(config: DictConfig, without: Sequence[str] = ()) -> dict:
+    """A configuration as plain values, interpolations resolved; without these of its keys."""
+    kept = OmegaConf.masked_copy(config, [key for key in config if key not in without])
+    return OmegaConf.to_container(kept, resolve=True)
+
+
+def changed(config: DictConfig, values: Mapping[str, object]) -> DictConfig:
+    """A copy with other values under these dotted names, merged in as the command line does."""
+    config = copy.deepcopy(config)
+    for name, value in values.items():
+        OmegaConf.update(config, name, value, merge=True)
+    return config
+
+
+def built(node: DictConfig):
+    """What a mapping with a `_target_` describes, made by Hydra."""
+    return instantiate(node)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ import sys
 from dataclasses import dataclass
 from functools import cache
 from importlib.machinery import PathFinder
+from importlib.metadata import PackageNotFoundError, requires
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -61,19 +62,19 @@ def module_named(name: str) -> Module:
 
 
 def is_library(name: str) -> bool:
-    """Whether a top-level module came with Python, or was installed and does not speak of this package."""
+    """Whether a top-level module came with Python, or was installed by a distribution that does not require this one."""
     own = __name__.partition(".")[0]
-    if name == own:
-        return False
-    if name in sys.stdlib_module_names:
-        return True
+    if name == own or name in sys.stdlib_module_names:
+        return name != own
     spec = find_spec(name)
-    places = [Path(place) for place in (spec.submodule_search_locations or [])] if spec else []
-    place = places[0] if places else Path(spec.origin) if spec and spec.origin else None
-    if place is None or not {"site-packages", "dist-packages"} & set(place.parts):
-        return place is None
-    files = place.rglob("*.py") if place.is_dir() else [place]
-    return not any(own in file.read_text(encoding="utf-8", errors="ignore") for file in files)
+    places = list(spec.submodule_search_locations or [spec.origin]) if spec else []
+    if not {"site-packages", "dist-packages"} & set(Path(places[0] or "").parts if places else ()):
+        return False
+    try:
+        needed = requires(name) or []
+    except PackageNotFoundError:
+        return True
+    return not any(each.replace("-", "_").startswith(own) for each in needed)
 
 
 def _source(name: str) -> Path:
@@ -233,7 +234,8 @@ def value(module: Module, node: ast.AST):
     if isinstance(node, ast.Constant) and isinstance(node.value, PLAIN):
         return node.value
     if isinstance(node, (ast.Tuple, ast.List)):
-        return [value(module, each) for each in node.elts]
+        return [each for part in node.elts for each in (value(module, part.value) if isinstance(part, ast.Starred)
+                                                        else [value(module, part)])]
     if isinstance(node, ast.Dict) and None not in node.keys:
         return {value(module, key): value(module, each) for key, each in zip(node.keys, node.values)}
     if isinstance(node, ast.UnaryOp) and type(node.op) in OPERATIONS:

@@ -31,8 +31,8 @@ def importers(*libraries: str) -> set[str]:
 
 @pytest.mark.parametrize(("libraries", "rooms"), [
     (("lightning", "pytorch_lightning"), {"data/datamodule.py", "fitting/fit.py", "fitting/training.py"}),
-    (("proxsuite",), {"control/proxqp.py"}),
-    (("daqp",), {"control/daqp.py"}),
+    (("proxsuite",), {"control/solvers/proxqp.py"}),
+    (("daqp",), {"control/solvers/daqp.py"}),
     (("qpsolvers",), {"control/any_qp.py"}),
     (("matplotlib",), {"evaluation/figures.py", "evaluation/robot_figures.py", "evaluation/study_figures.py"}),
     (("jinja2",), {"evaluation/report.py"}),

@@ -15,12 +15,12 @@ from abc import ABC, abstractmethod
 from collections import Counter
 
 import numpy as np
+from control_step import PAPER
 
 from ssmr_torch.control.base import Command
-from ssmr_torch.control.problem import INPUT_WEIGHT, OUTPUT_WEIGHT
 from ssmr_torch.models.integrators import rk4_step
 
-PERIOD = 0.02
+PERIOD, OUTPUT_WEIGHT, INPUT_WEIGHT = PAPER.period, PAPER.output_weight, PAPER.input_weight
 SILENT = {"print_time": False}
 IPOPT = SILENT | {
     "error_on_fail": True, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-6,

@@ -18,7 +18,7 @@ from importlib.util import find_spec
 import numpy as np
 import qpsolvers
 from contenders import Acados, Unavailable, casadi_rti, ipopt
-from control_step import machine, measure
+from control_step import machine, measure, predictive
 
 from ssmr_torch.control.any_qp import QPSolvers
 from ssmr_torch.control.mpc import ModelPredictiveController
@@ -40,7 +40,7 @@ LIBRARIES = {"ipopt": "casadi", "casadi_rti": "casadi", "casadi_rti_c": "casadi"
 def ours(model, task, bounds, *, horizon: int, qp: str) -> ModelPredictiveController:
     """Our controller with a solver that it keeps between steps. Raises Unavailable where that is not installed."""
     try:
-        return ModelPredictiveController(model, task, bounds, horizon=horizon, qp=qp)
+        return predictive(model, task, bounds, horizon=horizon, qp=qp)
     except ImportError as error:
         raise Unavailable(str(error)) from error
 
@@ -50,7 +50,7 @@ def ours_through_qpsolvers(model, task, bounds, *, horizon: int, name: str) -> M
     if name not in qpsolvers.available_solvers:
         raise Unavailable(f"{name} is not installed: pip install 'ssmr_torch[benchmarks]'")
     solver = QPSolvers(name, **PRECISE.get(name, {}))
-    return ModelPredictiveController(model, task, bounds, horizon=horizon, solver=solver)
+    return predictive(model, task, bounds, horizon=horizon, solver=solver)
 
 
 def solvers() -> dict:

@@ -13,9 +13,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from control_step import BOUNDS, TablesPlant, machine, measure, oscillators, perturbed
+from control_step import BOUNDS, TablesPlant, machine, measure, oscillators, perturbed, predictive
 
-from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.models.koopman_tables import KoopmanTables
 from ssmr_torch.tasks.obstacles import random_circles
 from ssmr_torch.tasks.references import figure_eight
@@ -57,7 +56,7 @@ def among_circles(count: int, laps: float):
 
 def series(name: str, laps: float, qp: str, N: int):
     """(what is varied, result of `measure`) for each size."""
-    build = partial(ModelPredictiveController, qp=qp)
+    build = partial(predictive, qp=qp)
     if name == "horizon":
         yield from ((f"N = {horizon}", measure(horizon, laps, build)) for horizon in HORIZONS)
     elif name == "states":

@@ -16,16 +16,19 @@ from time import perf_counter, thread_time
 import numpy as np
 
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.control.problem import INPUT_WEIGHT, OUTPUT_WEIGHT
+from ssmr_torch.control.settings import PredictiveControlSettings
 from ssmr_torch.models.monomials import count_monomials
-from ssmr_torch.models.polynomial_tables import PolynomialTables
+from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.models.structures import spectral_submanifold
 from ssmr_torch.tasks.references import figure_eight
 
+# The paper's weights: 100 per mm² and 1e-5 per mN².
+PAPER = PredictiveControlSettings(output_weight=1e8, input_weight=10.0, first_iterations=3)
 RANGE = 0.02
 BOUNDS = np.array([[0.0] * 4, [0.6] * 4])
 
 
-def oscillators(seed: int = 0, degree: int = 3, control_degree: int = 1) -> PolynomialTables:
+def oscillators(seed: int = 0, degree: int = 3, control_degree: int = 1) -> PolynomialModel:
     """q̈_i + 2 ζ ω_i q̇_i + ω_i² q_i = polynomial(q, q̇) + input, in z = (q, q̇ / ω), observed in full.
 
     Opposed inputs pull along ±q_0 and ±q_1 (24 mm/N at rest); seed draws the rest.
@@ -45,14 +48,14 @@ def oscillators(seed: int = 0, degree: int = 3, control_degree: int = 1) -> Poly
     control = np.zeros((6, 1 + count_monomials(6, 1, control_degree), 4))
     control[3:, 0] = omega[:, None] * pull
     control[3:, 1:] = omega[:, None, None] * 0.024 * 0.03 / RANGE * rng.standard_normal(control[3:, 1:].shape)
-    return PolynomialTables(
+    return spectral_submanifold(
         chart=np.eye(6), parametrization=np.eye(6), drift=drift, control=control.reshape(6, -1),
         state_scale=np.full(6, 2 * RANGE), chart_degree=1, parametrization_degree=1, dynamics_degree=degree,
         control_degree=control_degree, input_dim=4, output_dim=6, delays=0, timestep=0.01,
         window_timestep=0.01, substeps=1)
 
 
-def perturbed(model: PolynomialTables, relative: float, seed: int = 1) -> PolynomialTables:
+def perturbed(model: PolynomialModel, relative: float, seed: int = 1) -> PolynomialModel:
     """The same model with every parameter of its dynamics wrong by a normal relative error."""
     rng = np.random.default_rng(seed)
     return replace(model, drift=model.drift * (1 + relative * rng.standard_normal(model.drift.shape)),
@@ -64,7 +67,7 @@ class TablesPlant:
 
     name, input_unit = "tables", "N"
 
-    def __init__(self, model: PolynomialTables, input_bounds: np.ndarray = BOUNDS):
+    def __init__(self, model: PolynomialModel, input_bounds: np.ndarray = BOUNDS):
         self.model = replace(model, substeps=4)
         self.timestep, self.input_bounds = model.timestep, np.array(input_bounds)
         self.output_names = tuple(f"y{i}" for i in range(model.output_dim))
@@ -87,8 +90,12 @@ class TablesPlant:
         return self.displacement
 
 
-def measure(horizon: int, laps: float = 6.0, build=ModelPredictiveController, model=None, task=None,
-            prepare: bool = False) -> dict:
+def predictive(model, task, bounds, **changes) -> ModelPredictiveController:
+    """Our controller with the paper's weights and these changes of its settings."""
+    return ModelPredictiveController(model, task, bounds, PAPER, **changes)
+
+
+def measure(horizon: int, laps: float = 6.0, build=predictive, model=None, task=None, prepare: bool = False) -> dict:
     """CPU and wall time of every control step of one run, in ms, with what happened in it.
 
     prepare: linearize and condense when an input has been sent, as on a robot; the step is then from the measurement to
@@ -122,7 +129,7 @@ def measure(horizon: int, laps: float = 6.0, build=ModelPredictiveController, mo
     return {"N": horizon, "steps": len(cpu), "cpu": 1e3 * np.array(cpu), "wall": 1e3 * np.array(wall),
             "failures": sum(controller.fallbacks.values()), "saturated": saturated, "rmse": 1e3 * np.sqrt(squares),
             "clearance": 1e3 * clearance,
-            "cost": OUTPUT_WEIGHT * squares + INPUT_WEIGHT * np.mean(np.sum(np.square(inputs), axis=1))}
+            "cost": PAPER.output_weight * squares + PAPER.input_weight * np.mean(np.sum(np.square(inputs), axis=1))}
 
 
 def machine(*libraries: str) -> str:

@@ -33,7 +33,7 @@ def timed_fit(dataset) -> tuple[float, SSMR]:
     model = SSMR(6, dataset.input_dim, dataset.output_dim, 1, parametrization_degree=3, dynamics_degree=3, substeps=2,
                  timestep=dataset.timestep)
     fit = least_squares(model, ridge=RIDGES)
-    module = TrajectoryDataModule(dataset, transient=0.1, validation_share=0.0).prepare(fit)
+    module = TrajectoryDataModule(dataset, validation_share=0.0).prepare(fit)
     trainer = lightning.Trainer(accelerator="cpu", devices=1, max_epochs=fit.epochs, logger=False,
                                 enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
                                 limit_val_batches=0, use_distributed_sampler=False)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ssmr_torch.control.solvers.proxqp  # noqa: F401, before qpsolvers, which would choose another build of it
+
+# isort: split
 import numpy as np
 import qpsolvers
 

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from ssmr_torch.control.base import Command, whole_steps
-from ssmr_torch.control.problem import OUTPUT_WEIGHT
+from ssmr_torch.control.settings import PredictiveControlSettings as Predictive
+from ssmr_torch.keywords import configurable
 from ssmr_torch.status import Status
 
 # of the states that no output shows; it keeps the Riccati equation solvable
@@ -31,9 +32,10 @@ class StaticPregainController:
     Raises ValueError for another model, or a period that is no multiple of the timestep.
     """
 
+    @configurable(given=("timestep", "output_names"))
     def __init__(self, model, task, input_bounds, *, timestep: float | None = None, output_names=None,
-                 period: float = 0.02, output_weight: float = OUTPUT_WEIGHT, input_weight: float = 100.0,
-                 horizon: int | None = None, safe_input=None):
+                 period: float = Predictive.period, output_weight: float = Predictive.output_weight,
+                 input_weight: float = Predictive.input_weight, horizon: int | None = None, safe_input=None):
         if not len(getattr(model, "pregain", ())) or len(model.N) or model.degree > 1:
             raise ValueError("this controller takes a linear Koopman model with a pregain; train one with "
                              "model=koopman_lqr on data with static runs")

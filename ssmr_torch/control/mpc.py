@@ -12,9 +12,11 @@ from ssmr_torch.control.condensing import continues
 from ssmr_torch.control.constraints import constraints_of
 from ssmr_torch.control.estimation import ChartEstimator
 from ssmr_torch.control.horizon import horizon_for
-from ssmr_torch.control.problem import INPUT_WEIGHT, OUTPUT_WEIGHT, TrackingProblem
+from ssmr_torch.control.problem import TrackingProblem
 from ssmr_torch.control.scp import Plan, solve_scp
+from ssmr_torch.control.settings import PredictiveControlSettings
 from ssmr_torch.control.solvers import solver_named
+from ssmr_torch.keywords import configurable
 from ssmr_torch.status import Status
 
 # A reference that differs by more than this from the one planned for is a new one, m.
@@ -28,73 +30,60 @@ MOVED = 0.05
 class ModelPredictiveController:
     """Receding-horizon tracking with a reduced model (paper, section 4.4; see `TrackingProblem`).
 
-    model: NumPy encode, decode, rollout, linearize, linearize_output, at_timestep; such as PolynomialTables.
+    model: a `Model`, or what has one as its `reduced`, such as a Torch module.
     task: `columns(output_names)` and `reference(time)`, perhaps `obstacles`, such as `tasks.references.Task`.
     input_bounds: (2, m).   timestep: time between two measurements, s; default the model's window_timestep.
-    period: time between two plans, s, a multiple of timestep; the input is held in between.
-    output_weight: on every tracked output, 1/m².   terminal_weight: added to it at the horizon's end, 1/m².
-    input_weight: 1/N².   input_rate: N/s.   safe_input: (m,), default the admissible input nearest to zero.
-    output_bounds: (2, p) m, soft.   margins: (N,) m, by which obstacles and output bounds are tightened at each stage.
-    violation_weight: (1/m, 1/m²) of the exact penalty, see `OutputConstraints`; default from output_weight.
-    iterations: quadratic programs per step; one is the real-time iteration.   first_iterations: the same
-    after a start, a fallback, a gap in time or a change of the reference.
-    range_factor: a state is not believed when its norm exceeds that of state_scale by this factor.
-    observer: (model at timestep, input range) → `Estimator`, such as a partial `KalmanObserver`; nothing: the chart.
-    measurement_delay: s, a whole number of timesteps, by which measurements are old; the model bridges it.
-    frozen_after: so many measurements, equal to the last bit while the input changed, are a frozen sensor; 0: never.
-    qp: proxqp, daqp or qpsolvers:NAME.   solver: an object with `solve(QuadraticProgram)` and `reset()` instead, and
+    settings: `PredictiveControlSettings`, which says what each is; changes: some of them by name, in their place.
+    solver: an object with `solve(QuadraticProgram)` and `reset()` in place of that named by the setting qp, and
     perhaps `advance`, see `ProxQP`.
 
     A step that cannot be trusted falls back to the plan made last, then to safe_input, under the same bounds
     and rate; `fallbacks` counts the reasons by Status. Everything is compiled and run once at construction.
     `prepare` may be called between two measurements: it linearizes and condenses around the shifted plan, and the next
     step only has to solve.
-    Raises ValueError when a period is not a multiple of the timestep or sizes disagree.
+    Raises ValueError when a period is not a multiple of the timestep or sizes disagree, TypeError for a change of what
+    is no setting.
     """
 
-    def __init__(self, model, task, input_bounds, *, timestep: float | None = None, output_names=None,
-                 horizon: int = 5, period: float = 0.02, output_weight: float = OUTPUT_WEIGHT,
-                 input_weight=INPUT_WEIGHT, terminal_weight: float = 0.0, input_rate=None, safe_input=None,
-                 output_bounds=None, margins=None, violation_weight=None, iterations: int = 1,
-                 first_iterations: int = 3, tolerance: float = 1e-6, range_factor: float = 3.0, observer=None,
-                 measurement_delay: float = 0.0, frozen_after: int = 5, qp: str = "proxqp", solver=None):
-        if iterations < 1 or first_iterations < 1 or frozen_after < 0:
-            raise ValueError(f"iterations is {iterations}, first_iterations {first_iterations} and frozen_after "
-                             f"{frozen_after}; expected 1 or more, and no negative number")
-        self.model, self.task = model, task
+    @configurable(PredictiveControlSettings, given=("settings", "timestep", "output_names", "solver"))
+    def __init__(self, model, task, input_bounds, settings: PredictiveControlSettings | None = None, *,
+                 timestep: float | None = None, output_names=None, solver=None, **changes):
+        settings = (PredictiveControlSettings() if settings is None else settings).changed(**changes)
+        self.model, self.task, self.settings = model.reduced, task, settings
+        model = self.model
         self.timestep = float(model.window_timestep if timestep is None else timestep)
-        self.period = float(period)
-        self._samples_per_step = whole_steps("period", period, self.timestep)
+        self.period = settings.period
+        self._samples_per_step = whole_steps("period", self.period, self.timestep)
         stride = whole_steps("the model's window_timestep", model.window_timestep, self.timestep)
-        self._age = whole_steps("measurement_delay", measurement_delay, self.timestep) if measurement_delay else 0
-        self.problem = self._problem(input_bounds, output_names, int(horizon), output_weight, terminal_weight,
-                                     input_weight, input_rate, output_bounds, margins, violation_weight)
+        self._age = whole_steps("measurement_delay", settings.measurement_delay, self.timestep) \
+            if settings.measurement_delay else 0
+        self.problem = self._problem(input_bounds, output_names)
         self.horizon = horizon_for(model, self.problem)
-        self.safe_input = self._safe_input(safe_input)
-        self.solver = solver_named(qp, *self.problem.size) if solver is None else solver
+        self.safe_input = self._safe_input(settings.safe_input)
+        self.solver = solver_named(settings.qp, *self.problem.size) if solver is None else solver
         # with a rate limit and obstacles a start one stage on was found to take more iterations, not fewer
         self._advance = None if self.problem.input_step is not None else getattr(self.solver, "advance", None)
-        self.iterations, self.first_iterations = int(iterations), int(first_iterations)
-        self.tolerance, self.frozen_after = float(tolerance), int(frozen_after)
-        self._largest_norm = float(range_factor) * float(np.linalg.norm(model.state_scale))
+        self._largest_norm = settings.range_factor * float(np.linalg.norm(model.state_scale))
         # a model in discrete time need not know steps as short as the measurements'
+        observer = settings.observer
         self._fine = model.at_timestep(self.timestep) if observer or self._age else None
         self.estimator = observer(self._fine, self.problem.input_scale) if observer else ChartEstimator(model, stride)
         self._warm_up()
 
-    def _problem(self, input_bounds, output_names, horizon, output_weight, terminal_weight, input_weight, input_rate,
-                 output_bounds, margins, violation_weight) -> TrackingProblem:
-        p, columns = self.model.output_dim, self.task.columns(output_names)
+    def _problem(self, input_bounds, output_names) -> TrackingProblem:
+        settings, p, columns = self.settings, self.model.output_dim, self.task.columns(output_names)
         if max(columns) >= p:
             raise ValueError(f"the task tracks output {max(columns)}; the model has {p} outputs")
         tracked = np.zeros(p)
         tracked[list(columns)] = 1.0
-        linear, quadratic = (2.0 * horizon * PULL * output_weight, 10.0 * output_weight) if violation_weight is None \
-            else violation_weight
-        constraints = constraints_of(self.task, columns, p, horizon, output_bounds=output_bounds, margins=margins,
-                                     linear=linear, quadratic=quadratic)
-        return TrackingProblem(_Reference(self.task, columns, p), input_bounds, output_weight * tracked, input_weight,
-                               terminal_weight * tracked, input_rate, horizon, self.period, constraints)
+        weight = settings.output_weight
+        linear, quadratic = (2.0 * settings.horizon * PULL * weight, 10.0 * weight) \
+            if settings.violation_weight is None else settings.violation_weight
+        constraints = constraints_of(self.task, columns, p, settings.horizon, output_bounds=settings.output_bounds,
+                                     margins=settings.margins, linear=linear, quadratic=quadratic)
+        return TrackingProblem(_Reference(self.task, columns, p), input_bounds, weight * tracked,
+                               settings.input_weight, settings.terminal_weight * tracked, settings.input_rate,
+                               settings.horizon, settings.period, constraints)
 
     def _safe_input(self, safe_input) -> np.ndarray:
         zero = np.clip(0.0, *self.problem.input_bounds)
@@ -164,7 +153,7 @@ class ModelPredictiveController:
 
     @property
     def _frozen(self) -> bool:
-        if not 0 < self.frozen_after <= self._repeats:
+        if not 0 < self.settings.frozen_after <= self._repeats:
             return False
         return bool((np.abs(self._last_input - self._input_then) > MOVED * self.problem.input_scale).any())
 
@@ -201,7 +190,9 @@ class ModelPredictiveController:
             guess = self._plan.shifted(steps)
         reference = self.problem.reference_ahead(time)
         continued = self._planned_now and steps == 1 and continues(reference, self._plan.reference, REFERENCE_CHANGE)
-        iterations = self.iterations if continued else max(self.iterations, self.first_iterations)
+        iterations = self.settings.iterations
+        if not continued:
+            iterations = max(iterations, self.settings.first_iterations)
         if continued and self._advance is not None:
             self._advance(*self.problem.continuation)
         prepared = None
@@ -209,7 +200,7 @@ class ModelPredictiveController:
             prepared = self._prepared[1]
         return solve_scp(self.problem, self.horizon, state, guess, self.solver, time=time,
                          reference=reference, last_input=self._last_input, max_iterations=iterations,
-                         tolerance=self.tolerance, prepared=prepared)
+                         tolerance=self.settings.tolerance, prepared=prepared)
 
     def _steps_since_plan(self, time: float) -> int | None:
         """Control steps since the last plan, or None where it says nothing about now."""

@@ -10,10 +10,8 @@ import numpy as np
 
 from ssmr_torch.control.condensing import clipped, tracking_cost
 from ssmr_torch.control.constraints import OutputConstraints
+from ssmr_torch.control.settings import PredictiveControlSettings
 
-# 100 per mm² and 1e-5 per mN², the authors' weights, in SI units.
-OUTPUT_WEIGHT = 1e8
-INPUT_WEIGHT = 10.0
 # The solver sees violations in this unit, m.
 SLACK_SCALE = 1e-3
 
@@ -40,11 +38,11 @@ class TrackingProblem:
     reference: Callable[[np.ndarray], np.ndarray]
     input_bounds: np.ndarray
     output_weight: np.ndarray
-    input_weight: np.ndarray | float = INPUT_WEIGHT
+    input_weight: np.ndarray | float
     terminal_weight: np.ndarray | float = 0.0
     input_rate: np.ndarray | float | None = None
-    horizon: int = 5
-    period: float = 0.02
+    horizon: int = PredictiveControlSettings.horizon
+    period: float = PredictiveControlSettings.period
     constraints: OutputConstraints | None = None
 
     def __post_init__(self):

@@ -20,6 +20,7 @@ from ssmr_torch.data.plans import (
     refuse_repeated_names,
 )
 from ssmr_torch.data.recorded import Recorded, discard_recorded
+from ssmr_torch.keywords import configurable
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
@@ -28,6 +29,7 @@ __all__ = ["ControlledRun", "RecordingPlan", "collect", "discard_recorded", "rec
 DEFAULT_RELEASE = RandomOnOffRamp()
 
 
+@configurable(given=("workers", "directory"))
 def collect(plant: Plant, *, decays: int | Sequence[Release] = 40, validation_decays: int = 4,
             test_decays: int = 4, decay_duration: float = 5.0, release: Release = DEFAULT_RELEASE,
             controlled: Sequence[ControlledRun] = (), noise_std: float = 0.0, seed: int = 0,

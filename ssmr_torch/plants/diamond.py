@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from ssmr_torch.keywords import configurable
 from ssmr_torch.plants.finite_element.cables import Cables
 from ssmr_torch.plants.finite_element.mesh_files import read_mesh
 from ssmr_torch.plants.finite_element.robot import FiniteElementRobot, plain
@@ -36,6 +37,7 @@ class Diamond(FiniteElementRobot):
     mechanics: changes of `SILICONE` by name.   The rest is as in `FiniteElementRobot`.
     """
 
+    @configurable(SILICONE)
     def __init__(self, mesh: str = "diamond", length_unit: str = "mm", markers: Mapping = MARKERS,
                  input_bounds: Sequence = (0.0, 1.5), timestep: float = 0.01, scheme: str = "backward_euler",
                  linear_solver: str = "block_ldl", **mechanics):

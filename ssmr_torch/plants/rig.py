@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ssmr_torch.keywords import configurable
 from ssmr_torch.plants.base import Plant, PlantSheet, finite_vector
 
 DROPPED = ("held", "missing")
@@ -182,6 +183,7 @@ class _Memory(NamedTuple):
     lost: bool
 
 
+@configurable(Rig)
 def rig(plant: Plant, **settings) -> Plant:
     """The plant on a Rig with these settings, or the plant itself where they leave every part off."""
     built = Rig(plant, **settings)

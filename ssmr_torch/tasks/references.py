@@ -89,7 +89,8 @@ class Task(DataSheet):
 
 
 def figure_eight(amplitude: float = 0.015, angular_speed: float = 4.0, laps: float = 6.0, ramp: float = 1.0,
-                 tracked: Sequence[int | str] = (0, 1), name: str = "figure eight", obstacles=()) -> Task:
+                 tracked: Sequence[int | str] = (0, 1), name: str = "figure eight",
+                 obstacles: Sequence | None = None) -> Task:
     """(−a sin θ, a sin 2θ), 9.4294 a long per lap, from and to rest; θ is that of `ramped_phase`.
 
     amplitude a in m; angular_speed in rad/s (the paper's are 0.2 and 4); ramp in s; laps may be a fraction; obstacles
@@ -103,8 +104,9 @@ def figure_eight(amplitude: float = 0.015, angular_speed: float = 4.0, laps: flo
     return Task(name, duration, tuple(tracked), path, obstacles)
 
 
-def circle(amplitude: float = 0.010, angular_speed: float = 17.0, laps: float = 20.0, ramp: float = 1.0,
-           tracked: Sequence[int | str] = (1, 2), name: str = "circle", obstacles=()) -> Task:
+def circle(amplitude: float = 0.010, angular_speed: float = 4.0, laps: float = 6.0, ramp: float = 1.0,
+           tracked: Sequence[int | str] = (1, 2), name: str = "circle",
+           obstacles: Sequence | None = None) -> Task:
     """(a sin θ, a − a cos θ), a circle through the rest position, from and to rest; arguments as above."""
     phase, duration = ramped_phase(2 * np.pi * laps, angular_speed, ramp)
 
@@ -116,7 +118,8 @@ def circle(amplitude: float = 0.010, angular_speed: float = 17.0, laps: float = 
 
 
 def rose(amplitude: float = 0.015, petals: int = 3, angular_speed: float = 2.0, laps: float = 2.0, ramp: float = 5.0,
-         tracked: Sequence[int | str] = (0, 1), name: str = "rose", obstacles=()) -> Task:
+         tracked: Sequence[int | str] = (0, 1), name: str = "rose",
+         obstacles: Sequence | None = None) -> Task:
     """a sin(p θ) (cos θ, sin θ), an odd number p of petals in half a turn of θ, from and to rest; arguments as above.
 
     The long ramps give it slow and fast parts: a task to tune a controller on that none of the paper's repeats.

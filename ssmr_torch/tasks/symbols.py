@@ -17,7 +17,7 @@ ARC_STEPS = 1440  # straight pieces of pacman's arc, whose length is then right 
 
 def symbol(text: str = "S", half_size: float = 0.020, duration: float = 10.0, ramp: float = 1.0,
            tracked: Sequence[int | str] = ("tip_x", "tip_y"), font: str | None = None,
-           name: str | None = None, obstacles=()) -> Task:
+           name: str | None = None, obstacles: Sequence | None = None) -> Task:
     """The outlines of a text, one after the other, at the one speed of `constant_speed`.
 
     The pen is never lifted: it closes each curve of `contours` and goes straight to the next, as fast as it draws.
@@ -34,9 +34,9 @@ def symbol(text: str = "S", half_size: float = 0.020, duration: float = 10.0, ra
     return constant_speed(corners, duration, ramp, tracked, text if name is None else name, obstacles)
 
 
-def pacman(radius: float = 0.020, mouth: float = np.pi / 3, duration: float = 10.0, ramp: float = 1.0,
+def pacman(radius: float = 0.020, mouth: float = 1.0471976, duration: float = 10.0, ramp: float = 1.0,
            tracked: Sequence[int | str] = ("tip_x", "tip_y"), name: str = "pacman",
-           obstacles=()) -> Task:
+           obstacles: Sequence | None = None) -> Task:
     """A disc around rest that opens its mouth towards +x, (2 + 2π − mouth) radius long, from and to its centre.
 
     radius in m; mouth, the angle between the two straight edges, in rad; duration and ramp in s.

@@ -14,6 +14,7 @@ from time import perf_counter
 
 import numpy as np
 
+from ssmr_torch.keywords import configurable
 from ssmr_torch.tasks.obstacles import Circle, HalfPlane
 
 LOGGER = logging.getLogger(__name__)
@@ -39,6 +40,7 @@ class RerunView:
     Raises ValueError when rerun is not installed, and as `task.columns` does.
     """
 
+    @configurable(given=("directory",))
     def __init__(self, task, plant, directory: str | Path = ".", *, recording: str | Path | None = None,
                  address: str | None = None, trail: float = 2.0, patience: float = 0.1):
         try:

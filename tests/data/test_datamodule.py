@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from ssmr_torch.data.datamodule import TrajectoryDataModule
+from ssmr_torch.data.settings import DataSettings
 from ssmr_torch.data.windows import RolloutBatch, Segment
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
@@ -25,7 +26,8 @@ def dataset(*more):
 
 
 def module(data=None, **options):
-    return TrajectoryDataModule(data or dataset(), **{"validation_horizon": 0.1, "rollout_horizon": 0.08} | options)
+    settings = DataSettings(validation_share=0.1, transient=0.0, validation_horizon=0.1, rollout_horizon=0.08)
+    return TrajectoryDataModule(data or dataset(), settings, **options)
 
 
 CLOSED_FORM = SimpleNamespace(model=SimpleNamespace(delays=2, timestep=TIMESTEP),
@@ -141,8 +143,8 @@ def test_more_processes_than_segments_are_refused_with_the_numbers():
     ({"validation_share": -0.1}, "validation_share is -0.1"),
     ({"overdrive": 0.9}, "overdrive is 0.9; expected 1 or more"),
     ({"overspeed": 1.5}, "overspeed is 1.5; expected a whole number, 1 or more"),
-    ({"transient": -1.0}, "transient -1.0 s"),
-    ({"rollout_horizon": 0.0}, "rollout_horizon 0.0 s"), ({"validation_horizon": -2.0}, "validation_horizon -2.0 s")])
+    ({"transient": -1.0}, "transient is -1.0 s"),
+    ({"rollout_horizon": 0.0}, "rollout_horizon is 0.0 s"), ({"validation_horizon": -2.0}, "validation_horizon is -2.0 s")])
 def test_options_without_meaning_are_refused_with_the_numbers(options, message):
     with pytest.raises(ValueError, match=message):
         module(**options)
@@ -159,7 +161,7 @@ def test_the_training_can_be_limited_to_some_decays_and_some_seconds_of_controll
     data = module(validation_share=0.0, decays=0, controlled_duration=2.5)
     assert [(run.kind, run.length) for run in data.training] == [("controlled", 200), ("controlled", 50)]
     assert [run.kind for run in module(validation_share=0.0, decays=1).training] == ["decay", *["controlled"] * 2]
-    with pytest.raises(ValueError, match="decays -1 and controlled_duration None s"):
+    with pytest.raises(ValueError, match="decays is -1; expected a whole number, 0 or more"):
         module(decays=-1)
 
 

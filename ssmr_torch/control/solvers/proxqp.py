@@ -2,13 +2,36 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
-from proxsuite import proxqp
 
 from ssmr_torch.control.qp import ROUNDING, QPSolution, QuadraticProgram, Workspace
 from ssmr_torch.status import Status
+
+INSTRUCTIONS = "proxsuite.instructionset"
+
+
+def _without_wide_vectors():
+    """ProxQP of ProxSuite's plain build, which gives the same digits every time.
+
+    Its builds for AVX sum in an order that depends on where their memory happens to lie, and the last digits with it.
+    The plain one was found as fast up to 40 variables, with a shorter tail. Who imports proxsuite before this file gets
+    the build that it chose then.
+    """
+    if "proxsuite" not in sys.modules:
+        sys.modules[INSTRUCTIONS] = SimpleNamespace(has_AVX512F=lambda: False, has_AVX2=lambda: False)
+    try:
+        from proxsuite import proxqp
+    finally:
+        if isinstance(sys.modules.get(INSTRUCTIONS), SimpleNamespace):
+            del sys.modules[INSTRUCTIONS]
+    return proxqp
+
+
+proxqp = _without_wide_vectors()
 
 # ProxQP counts bounds of this size as absent.
 INFINITY = 1e20

@@ -1,0 +1,95 @@
+"""What a predictive controller can be told: one object, and one set of defaults, for constructor, YAML and runner."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssmr_torch.settings import Settings, non_negative, positive, positive_or_none, whole
+
+
+@dataclass(frozen=True)
+class PredictiveControlSettings(Settings):
+    """Settings of a `ModelPredictiveController`; `changed(name=value)` gives others.
+
+    horizon: N, control steps.   period: s between two plans, a multiple of the timestep; the input is held in between.
+    output_weight: on every tracked output, 1/m²; the default is 100 per mm², the authors'.   terminal_weight: added to
+    it at the horizon's end, 1/m².
+    input_weight: 1/N², one number or (m,); the default is 1e-4 per mN², ten times the authors': measured velocities are
+    noisy.   input_rate: N/s, one number or (m,); None: no limit.
+    safe_input: (m,) N; None: the admissible input nearest to zero.
+    output_bounds: (2, p) m, soft, lowest and highest of every output; infinite where there is no bound.
+    margins: (N,) m, by which obstacles and output bounds are tightened at each stage.
+    violation_weight: (1/m, 1/m²) of the exact penalty, see `OutputConstraints`; None: from output_weight.
+    iterations: quadratic programs per step; one is the real-time iteration.   first_iterations: the same
+    after a start, a fallback, a gap in time or a change of the reference.   tolerance: they end before that once the
+    next program promises a decrease of less than this share of the cost.
+    range_factor: 1; a state is not believed when its norm exceeds that of state_scale by this factor.
+    observer: (model at timestep, input range) → `Estimator`, such as a partial `KalmanObserver`; None: the chart.
+    measurement_delay: s, a whole number of timesteps, by which measurements are old; the model bridges it.
+    frozen_after: so many measurements, equal to the last bit while the input changed, are a frozen sensor; 0: never.
+    qp: proxqp, daqp, qpsolvers:NAME, or package.module:Class, see `solver_named`.
+
+    Raises ValueError for a number that makes no sense, or a count that is not whole; TypeError for a name that is none
+    of these.
+
+    >>> PredictiveControlSettings().changed(horizon=3).horizon
+    3
+    """
+
+    horizon: int = 5
+    period: float = 0.02
+    output_weight: float = 1e8
+    input_weight: float | Sequence[float] = 100.0
+    terminal_weight: float = 0.0
+    input_rate: float | Sequence[float] | None = None
+    safe_input: Sequence[float] | None = None
+    output_bounds: Sequence[Sequence[float]] | None = None
+    margins: Sequence[float] | None = None
+    violation_weight: Sequence[float] | None = None
+    iterations: int = 1
+    first_iterations: int = 10
+    tolerance: float = 1e-6
+    range_factor: float = 3.0
+    observer: Callable | None = None
+    measurement_delay: float = 0.0
+    frozen_after: int = 5
+    qp: str = "proxqp"
+
+    def __post_init__(self):
+        for name in ("horizon", "iterations", "first_iterations"):
+            self._set(name, whole(name, getattr(self, name), least=1))
+        self._set("frozen_after", whole("frozen_after", self.frozen_after, least=0))
+        for name, unit in (("period", "s"), ("output_weight", "1/m²"), ("tolerance", ""), ("range_factor", "")):
+            self._set(name, positive(name, getattr(self, name), unit))
+        for name, unit in (("terminal_weight", "1/m²"), ("measurement_delay", "s")):
+            self._set(name, non_negative(name, getattr(self, name), unit))
+        self._set("input_weight", positive_or_none("input_weight", self.input_weight, "1/N²"))
+        self._set("input_rate", positive_or_none("input_rate", self.input_rate, "N/s"))
+        if self.input_weight is None:
+            raise ValueError("input_weight is None; expected positive numbers, without them the optimal input is not "
+                             "unique")
+        for name in ("safe_input", "output_bounds", "margins", "violation_weight"):
+            self._set(name, _numbers(name, getattr(self, name)))
+        if self.violation_weight is not None and (len(self.violation_weight) != 2 or min(self.violation_weight) < 0):
+            raise ValueError(f"violation_weight is {self.violation_weight}; expected two numbers, 1/m and 1/m², none "
+                             "negative")
+        if self.observer is not None and not callable(self.observer):
+            raise ValueError(f"observer is {self.observer!r}; expected what makes one of a model and the input range, "
+                             "such as a partial KalmanObserver, or None")
+
+
+def _numbers(name: str, values) -> tuple | None:
+    """Nested tuples of what was given; None where nothing was."""
+    if values is None:
+        return None
+    array = np.array(values, dtype=np.float64)
+    if not array.ndim or np.isnan(array).any():
+        raise ValueError(f"{name} is {values}; expected a list of numbers, or None")
+    return _tuples(array.tolist())
+
+
+def _tuples(values):
+    return tuple(map(_tuples, values)) if isinstance(values, list) else values

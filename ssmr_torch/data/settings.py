@@ -1,0 +1,63 @@
+"""How recordings are split, cut and served to a fit: one object for constructor and configuration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ssmr_torch.settings import Settings, at_least, non_negative, positive, whole
+
+
+@dataclass(frozen=True)
+class DataSettings(Settings):
+    """Settings of a `TrajectoryDataModule`; `changed(name=value)` gives others.
+
+    validation_share: 1, below 1; tail of every controlled training run that is held out when no run is marked
+    "validation".
+    decays, controlled_duration: how many of the training decays, the first ones, and how many s of the controlled
+    training, from its start, are used; None: all.
+    noise_std: m, of seeded white noise on the training runs and on the windows that validation and test predictions
+    start from; what they are compared with stays as it is.
+    score_test: whether the test runs are looked at.
+    overdrive, overspeed: 1, 1 or more, overspeed whole; also validate with inputs so many times as strong, and so many
+    times as fast: a model that then diverges scores infinite, see `ModelFit`.
+    transient: s cut from the start of each training decay.   rows: core samples per segment.
+    rollout_horizon: s, of the rollout loss.   validation_horizon: s, of the validation and test scores.
+    starts: seeded validation and test starts.   batch_size: rollouts per step.   stride: samples from one training
+    rollout to the next.   seed, num_workers: of drawing, and of Torch's loaders.
+
+    Raises ValueError for a number that makes no sense, TypeError for a name that is none of these.
+    """
+
+    validation_share: float = 0.15
+    decays: int | None = None
+    controlled_duration: float | None = None
+    noise_std: float = 0.0
+    score_test: bool = True
+    overdrive: float = 1.0
+    overspeed: int = 1
+    transient: float = 0.1
+    rows: int = 1024
+    rollout_horizon: float = 0.4
+    validation_horizon: float = 1.0
+    starts: int = 500
+    batch_size: int = 64
+    stride: int = 5
+    seed: int = 0
+    num_workers: int = 0
+
+    def __post_init__(self):
+        if not 0 <= non_negative("validation_share", self.validation_share) < 1:
+            raise ValueError(f"validation_share is {self.validation_share}; expected 0 ≤ share < 1")
+        for name, unit in (("transient", "s"), ("noise_std", "m")):
+            self._set(name, non_negative(name, getattr(self, name), unit))
+        for name in ("rollout_horizon", "validation_horizon"):
+            self._set(name, positive(name, getattr(self, name), "s"))
+        for name in ("overspeed", "rows", "starts", "batch_size", "stride"):
+            self._set(name, whole(name, getattr(self, name), least=1))
+        for name in ("seed", "num_workers"):
+            self._set(name, whole(name, getattr(self, name), least=0))
+        self._set("overdrive", at_least("overdrive", self.overdrive, 1))
+        if self.decays is not None:
+            self._set("decays", whole("decays", self.decays, least=0))
+        if self.controlled_duration is not None:
+            self._set("controlled_duration", at_least("controlled_duration", self.controlled_duration, 0, "s"))

@@ -1,0 +1,74 @@
+"""Settings objects: frozen, checked once, changed by name; and the checks that they share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import fields, replace
+from difflib import get_close_matches
+from numbers import Real
+from typing import Self
+
+import numpy as np
+
+
+class Settings:
+    """Base of frozen dataclasses that hold the settings of one thing, checked in `__post_init__`."""
+
+    def changed(self, **changes) -> Self:
+        """The same settings but for these. Raises TypeError for a name that is none of them, with the nearest one."""
+        refuse_unknown(type(self).__name__, changes, [field.name for field in fields(self)])
+        return replace(self, **changes)
+
+    def _set(self, name: str, value) -> None:
+        object.__setattr__(self, name, value)
+
+
+def refuse_unknown(whose: str, given: Iterable[str], known: list[str]) -> None:
+    """Raises TypeError for the first name that is not known, with the nearest one that is."""
+    for name in given:
+        if name not in known:
+            near = get_close_matches(name, known, n=1, cutoff=0.0)[0]
+            raise TypeError(f"{whose} has no {name}; did you mean {near}? There are {', '.join(known)}")
+
+
+def whole(name: str, value, *, least: int) -> int:
+    """Raises ValueError unless value is a whole number of at least `least`."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real) or value != value // 1 or value < least:
+        raise ValueError(f"{name} is {value!r}; expected a whole number, {least} or more")
+    return int(value)
+
+
+def positive(name: str, value, unit: str = "") -> float:
+    """Raises ValueError unless value is a positive and finite number."""
+    if not (_is_number(value) and 0 < value < np.inf):
+        raise ValueError(f"{name} is {_shown(value, unit)}; expected a positive, finite number")
+    return float(value)
+
+
+def non_negative(name: str, value, unit: str = "") -> float:
+    """Raises ValueError unless value is a finite number of 0 or more."""
+    if not (_is_number(value) and 0 <= value < np.inf):
+        raise ValueError(f"{name} is {_shown(value, unit)}; expected a finite number, 0 or more")
+    return float(value)
+
+
+def at_least(name: str, value, least: float, unit: str = "") -> float:
+    """Raises ValueError unless value is a number of `least` or more; it may be infinite."""
+    if not (_is_number(value) and value >= least):
+        raise ValueError(f"{name} is {_shown(value, unit)}; expected {least} or more")
+    return float(value)
+
+
+def positive_or_none(name: str, value, unit: str = "") -> float | tuple[float, ...] | None:
+    """One positive, finite number or a tuple of them, one per input; None as it is. Raises ValueError for others."""
+    if value is None or np.ndim(value) == 0:
+        return None if value is None else positive(name, value if _is_number(value) else np.asarray(value)[()], unit)
+    return tuple(positive(f"{name}[{i}]", each, unit) for i, each in enumerate(np.asarray(value).tolist()))
+
+
+def _is_number(value) -> bool:
+    return isinstance(value, Real) and not isinstance(value, (bool, np.bool_))
+
+
+def _shown(value, unit: str) -> str:
+    return f"{value!r} {unit}".rstrip()
