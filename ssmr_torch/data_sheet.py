@@ -152,4 +152,5 @@ def _name(plant) -> str:
 
 
 def _digests(files: Mapping) -> str:
-    return listed(f"{name} ({str(digest)[:8]})" for name, digest in files.items())
+    first = [f"{name} ({str(digest)[:8]})" for name, digest in list(files.items())[:3]]
+    return ", ".join(first) + (f", … ({len(files)})" if len(files) > 3 else "")

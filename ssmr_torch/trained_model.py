@@ -106,7 +106,8 @@ class TrainedModel(DataSheet):
         """
         window, inputs, past = self._arguments(window, inputs, past_inputs)
         leading, horizon = inputs.shape[:-2], inputs.shape[-2]
-        window, inputs, past = (array.reshape(-1, *array.shape[-2:]) for array in (window, inputs, past))
+        count = int(np.prod(leading))  # without delays there are no past inputs, whose size tells nothing
+        window, inputs, past = (array.reshape(count, *array.shape[-2:]) for array in (window, inputs, past))
         model, stride = self._at_sampling_time
         steps = -(-horizon // stride)
         ahead = np.minimum(np.arange(steps * stride), horizon - 1)
@@ -181,7 +182,7 @@ class TrainedModel(DataSheet):
             "outputs": f"{sheet.listed(self.output_names)}; displacement from rest, m",
             "inputs: range of the training": sheet.spans(self.input_names, *self.input_range,
                                                          sheet.unit_of(self.input_unit)),
-            "window": f"{self.delays + 1} samples ({self.delays} delays), {self.window_timestep:g} s apart",
+            "window": f"{self.delays + 1} samples, {self.window_timestep:g} s apart; delays = {self.delays}",
             "step": sheet.period(self.timestep), "recordings": sheet.period(self.sampling_time),
             "stability": sheet.stability(model.rates)}
         if scores:

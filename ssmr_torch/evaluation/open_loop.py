@@ -13,8 +13,9 @@ import numpy as np
 
 from ssmr_torch.data.starts import samples_within, starts_over
 from ssmr_torch.evaluation.metrics import rollout_rmse
-from ssmr_torch.evaluation.predictors import BASELINES, DIVERGENCE_FACTOR, as_predictor
+from ssmr_torch.evaluation.predictors import BASELINES, as_predictor
 from ssmr_torch.evaluation.rollouts import Forecaster, Recording
+from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
 
 HORIZONS = (0.05, 0.2, 1.0)
 SAMPLES_PER_BLOCK = 1 << 16

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
-
 
 @dataclass(frozen=True)
 class Predictor:
@@ -28,39 +26,19 @@ class Predictor:
     input_dim: int | None = None
 
 
-def numpy_predictor(model) -> Predictor:
-    """A model in NumPy: encode(window, inputs), rollout(z, inputs) → (N, H + 1, n), decode(z), state_scale (n,).
-
-    As in Torch, a rollout has diverged once ‖z‖ is not within `DIVERGENCE_FACTOR` ‖state_scale‖.
-    """
-    bound = DIVERGENCE_FACTOR * np.linalg.norm(model.state_scale)
+def model_predictor(model) -> Predictor:
+    """A `Model`, or what has one as its `reduced`, in NumPy; samples from `diverged_at` on are infinite."""
+    reduced = model.reduced.numpy()
 
     def predict(window, window_inputs, inputs):
         with np.errstate(over="ignore", invalid="ignore"):
-            states = model.rollout(model.encode(window, window_inputs), inputs)[..., 1:, :]
-            outside = ~(np.linalg.norm(states, axis=-1) <= bound)
-            outputs = model.decode(states)
-        return np.where(np.logical_or.accumulate(outside, axis=-1)[..., None], np.inf, outputs)
-
-    return _predictor_of(model, predict)
-
-
-def torch_predictor(model) -> Predictor:
-    """A Torch `ReducedModel`, on the device that it is on; samples from `diverged_at` on are infinite."""
-    import torch
-
-    def predict(window, window_inputs, inputs):
-        window, window_inputs, inputs = (
-            torch.as_tensor(array, dtype=torch.float64, device=model.state_scale.device)
-            for array in (window, window_inputs, inputs))
-        with torch.no_grad():
-            rollout = model.rollout(model.encode(window, window_inputs), inputs)
-            outputs = model.decode(rollout.states[..., 1:, :]).cpu().numpy()
-        step = np.arange(1, inputs.shape[-2] + 1)
-        diverged = step >= rollout.diverged_at.cpu().numpy()[..., None]
+            states, diverged_at = reduced.rollout(reduced.encode(window, window_inputs), inputs)
+            outputs = reduced.decode(states[..., 1:, :])
+        diverged = np.arange(1, inputs.shape[-2] + 1) >= diverged_at[..., None]
         return np.where(diverged[..., None], np.inf, outputs)
 
-    return _predictor_of(model, predict)
+    return Predictor(predict, reduced.delays, reduced.timestep, reduced.window_timestep, reduced.output_dim,
+                     reduced.input_dim)
 
 
 def persistence(timestep: float) -> Predictor:
@@ -84,12 +62,5 @@ BASELINES = {"persistence": persistence, "constant velocity": constant_velocity}
 
 
 def as_predictor(model) -> Predictor:
-    """A `Predictor` as it is; a Torch module or a NumPy model behind one."""
-    if isinstance(model, Predictor):
-        return model
-    return torch_predictor(model) if hasattr(model, "state_dict") else numpy_predictor(model)
-
-
-def _predictor_of(model, predict: Callable) -> Predictor:
-    return Predictor(predict, model.delays, model.timestep, model.window_timestep,
-                     model.output_dim, model.input_dim)
+    """A `Predictor` as it is; a model, of NumPy or Torch, behind one."""
+    return model if isinstance(model, Predictor) else model_predictor(model)
