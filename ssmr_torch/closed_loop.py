@@ -23,7 +23,7 @@ FORMAT = "ssmr_torch closed loop 1"
 PATIENCE = 3.0  # s that a run may take before a bar shows how far it is
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class ClosedLoopRecord(DataSheet):
     """One run in closed loop, T samples.
 

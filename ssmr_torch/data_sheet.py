@@ -21,8 +21,13 @@ class DataSheet:
     """What prints itself as its data sheet.
 
     A class says what is on it by `data_sheet()` → (title, entries): entries map a label to a text, or to entries below
-    it. A dataclass that is one needs `repr=False`.
+    it.
     """
+
+    def __init_subclass__(cls, **options):
+        super().__init_subclass__(**options)
+        if "__repr__" not in vars(cls):
+            cls.__repr__ = DataSheet.__repr__  # a dataclass would make one that lists its fields
 
     def data_sheet(self) -> tuple[str, Mapping]:
         raise NotImplementedError(f"{type(self).__name__} lacks data_sheet()")

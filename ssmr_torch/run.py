@@ -36,7 +36,7 @@ class Run(DataSheet):
                     "input": sheet.spans(named[1], *inputs, "")})
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class Trajectory(Run):
     """One run of a robot.
 

@@ -17,7 +17,7 @@ from ssmr_torch.models.base import Model
 from ssmr_torch.periods import whole_multiple
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class TrainedModel(DataSheet):
     """z = v(window), z⁺ = f(z, u), y = w(z), with the names, units and ranges of the data behind it.
 

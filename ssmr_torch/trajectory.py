@@ -21,7 +21,7 @@ __all__ = ["JITTER_TOLERANCE", "KINDS", "SPLITS", "StoredTrajectory", "Trajector
 FORMAT = "ssmr_torch trajectories 1"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class StoredTrajectory(Run):
     """A trajectory in an HDF5 file, read slice by slice: memory does not grow with its length."""
 
@@ -64,7 +64,7 @@ class StoredTrajectory(Run):
                           self.kind, self.split, self.name)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class TrajectoryDataset(DataSheet, Sequence):
     """Trajectories of one robot, with what is needed to read them.
 

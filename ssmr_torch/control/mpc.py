@@ -7,6 +7,7 @@ from math import isfinite, sqrt
 
 import numpy as np
 
+from ssmr_torch import data_sheet as sheet
 from ssmr_torch.control.base import Command, whole_steps
 from ssmr_torch.control.condensing import continues
 from ssmr_torch.control.constraints import constraints_of
@@ -16,6 +17,7 @@ from ssmr_torch.control.problem import TrackingProblem
 from ssmr_torch.control.scp import Plan, solve_scp
 from ssmr_torch.control.settings import PredictiveControlSettings
 from ssmr_torch.control.solvers import solver_named
+from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.keywords import configurable
 from ssmr_torch.status import Status
 
@@ -27,7 +29,7 @@ PULL = 0.05
 MOVED = 0.05
 
 
-class ModelPredictiveController:
+class ModelPredictiveController(DataSheet):
     """Receding-horizon tracking with a reduced model (paper, section 4.4; see `TrackingProblem`).
 
     model: a `Model`, or what has one as its `reduced`, such as a Torch module.
@@ -69,6 +71,22 @@ class ModelPredictiveController:
         self._fine = model.at_timestep(self.timestep) if observer or self._age else None
         self.estimator = observer(self._fine, self.problem.input_scale) if observer else ChartEstimator(model, stride)
         self._warm_up()
+
+    def data_sheet(self) -> tuple[str, dict]:
+        settings, (lower, upper) = self.settings, self.problem.input_bounds
+        inputs = [f"u{place}" for place in range(1, len(lower) + 1)]
+        rate = "" if settings.input_rate is None else f", at most {settings.input_rate} per s"
+        model = f"{self.model.state_dim} states, {self.model.input_dim} inputs, {self.model.output_dim} outputs"
+        return f"{type(self).__name__}: {self.task.name!r} with {settings.qp}", {
+            "model": f"{type(self.model).__name__}, {model}",
+            "plans": f"every {sheet.period(self.period)}, over {settings.horizon} of these periods",
+            "measurements": f"every {sheet.period(self.timestep)}, "
+                            + (f"{settings.measurement_delay:g} s late" if self._age else "without delay"),
+            "inputs: bounds" + rate: sheet.spans(inputs, lower, upper, ""),
+            "weights": f"outputs {settings.output_weight:g} 1/m², inputs {settings.input_weight}",
+            "programs": f"{settings.iterations} per step, {settings.first_iterations} after a start",
+            "state from": type(self.estimator).__name__,
+            "fallbacks": sum(self.fallbacks.values())}
 
     def _problem(self, input_bounds, output_names) -> TrackingProblem:
         settings, p, columns = self.settings, self.model.output_dim, self.task.columns(output_names)

@@ -15,7 +15,7 @@ from ssmr_torch.tasks.obstacles import Circle, HalfPlane
 EIGHT = np.array([-1.0, 2.0])
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class Task(DataSheet):
     """A reference path for some outputs of a robot.
 
