@@ -161,11 +161,13 @@ def _load_tables(path: Path) -> tuple[Model, dict[str, str]]:
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except SafetensorError as error:
         raise ValueError(f"{path} is damaged ({error}); export the model again") from error
+    if not {"class", "plain"} <= noted.keys():
+        raise ValueError(f"{path} does not say which model its tables belong to; export the model again")
     try:
         family = named(noted["class"])
-    except (ImportError, AttributeError, KeyError, ValueError) as error:
-        raise ValueError(f"{path} holds a model of {noted.get('class', 'no class')}, which is not installed here "
-                         f"({error}); install its package") from error
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"{path} holds a model of {noted['class']}, which is not installed here ({error}); install "
+                         "its package") from error
     if not (isinstance(family, type) and issubclass(family, Model)):
         raise ValueError(f"{path} names {noted['class']}, which is no model; export the model again")
     try:
@@ -279,8 +281,17 @@ def _replacing(directory: Path):
         for path in aside.rglob("*"):
             if path.is_file():  # a file of a temporary kind is readable by its owner alone
                 path.chmod(path.stat().st_mode | 0o444)
-        if directory.exists():
-            os.replace(directory, within / "old")
-        os.replace(aside, directory)
+        _replace(aside, directory, within / "old")
     finally:
         shutil.rmtree(within, ignore_errors=True)
+
+
+def _replace(aside: Path, directory: Path, old: Path) -> None:
+    if directory.exists():
+        os.replace(directory, old)
+    try:
+        os.replace(aside, directory)
+    except OSError:
+        if old.exists():
+            os.replace(old, directory)
+        raise

@@ -4,17 +4,20 @@ import hashlib
 import json
 import subprocess
 import sys
-from dataclasses import fields, replace
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
 from ssmr_torch import artifact
-from ssmr_torch.models.control_augmented_tables import ControlAugmentedTables
+from ssmr_torch.fitting.checkpoints import load_model
 from ssmr_torch.models.monomials import count_monomials
-from ssmr_torch.models.polynomial_tables import PolynomialTables
+from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.models.structures import spectral_submanifold
 
 DATA = {"output_names": ["x", "y", "z"], "input_names": ["u1", "u2"], "rest": [0.1, 0.0, 1 / 3],
         "input_range": [[0.0, -1.0], [1.0, 2.0]]}
@@ -28,7 +31,7 @@ def tables(n=4, m=2, p=3, delays=2, chart=1, parametrization=2, dynamics=3, cont
     w[:, :n] = frame
     v = 0.01 * rng.normal(size=(n, count_monomials(window, 1, chart)))
     v[:, :window] = frame.T
-    return PolynomialTables(
+    return spectral_submanifold(
         chart=v, parametrization=w, drift=rng.normal(size=(n, count_monomials(n, 1, dynamics))),
         control=rng.normal(size=(n, m * (1 + count_monomials(n, 1, control)))), state_scale=np.full(n, 0.05),
         chart_degree=chart, parametrization_degree=parametrization, dynamics_degree=dynamics, control_degree=control,
@@ -60,9 +63,11 @@ def test_the_card_says_whether_the_manifold_is_curved(tmp_path):
 
 def rewrite(directory, change, file="tables.safetensors"):
     """Change arrays of a file and the card's hash of it: what a hash alone would not notice."""
+    with safe_open(directory / file, "np") as opened:
+        noted = opened.metadata()
     arrays = load_file(directory / file)
     change(arrays)
-    save_file(arrays, directory / file)
+    save_file(arrays, directory / file, noted)
     card = card_of(directory)
     card["sha256"][file] = hashlib.sha256((directory / file).read_bytes()).hexdigest()
     (directory / "card.json").write_text(json.dumps(card))
@@ -72,12 +77,13 @@ def rewrite(directory, change, file="tables.safetensors"):
 def test_the_loaded_model_has_the_same_tables_and_predicts_the_same(name, tmp_path):
     model = MODELS[name]
     loaded = artifact.load(artifact.save(tmp_path / "deep" / "model", model, **DATA)).model
-    for field in fields(PolynomialTables):
-        np.testing.assert_array_equal(getattr(loaded, field.name), getattr(model, field.name))
+    assert type(loaded) is PolynomialModel and loaded.plain() == model.plain()
+    for table, array in model.arrays.items():
+        np.testing.assert_array_equal(loaded.arrays[table], array)
     rng = np.random.default_rng(1)
     z, inputs = 0.02 * rng.normal(size=(5, model.state_dim)), rng.uniform(size=(5, 30, 2))
     window = 0.02 * rng.normal(size=(5, model.delays + 1, 3))
-    np.testing.assert_allclose(loaded.rollout(z, inputs), model.rollout(z, inputs), rtol=1e-12)
+    np.testing.assert_allclose(loaded.states(z, inputs), model.states(z, inputs), rtol=1e-12)
     np.testing.assert_allclose(loaded.encode(window, None), model.encode(window, None), rtol=1e-12)
     for ours, theirs in zip(loaded.linearize(z, inputs[:, 0]), model.linearize(z, inputs[:, 0]), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-12)
@@ -86,9 +92,9 @@ def test_the_loaded_model_has_the_same_tables_and_predicts_the_same(name, tmp_pa
 def test_the_card_says_what_the_model_is_in_plain_json(saved):
     card = card_of(saved)
     assert card["units"] == {"length": "m", "time": "s", "input": "1"}
-    assert card["model"] == {"chart_degree": 1, "parametrization_degree": 2, "dynamics_degree": 3, "control_degree": 1,
-                             "input_dim": 2, "output_dim": 3, "delays": 2, "timestep": 0.02, "window_timestep": 0.01,
-                             "substeps": 2, "state_dim": 4}
+    assert card["model"] == {"input_dim": 2, "output_dim": 3, "delays": 2, "timestep": 0.02, "window_timestep": 0.01,
+                             "base_timestep": None, "substeps": 2, "state_dim": 4}
+    assert card["class"] == "ssmr_torch.models.polynomial:PolynomialModel" and card["sampling_time"] == 0.01
     assert {key: card[key] for key in DATA} == DATA
     assert (card["format"], card["kind"], card["name"]) == (artifact.FORMAT, "polynomial", "ours")
     assert card["provenance"] == {"commit": "abc+"} and card["scores"] == {"validation/rmse": 1e-4}
@@ -107,7 +113,7 @@ def test_nothing_in_an_artifact_is_a_pickle(saved):
         assert len(content) == 8 + int.from_bytes(content[:8], "little") + end
 
 
-@pytest.mark.parametrize("table", ["chart", "parametrization", "drift", "control"])
+@pytest.mark.parametrize("table", ["chart", "parametrization", "dynamics"])
 def test_a_table_that_was_changed_is_refused_by_its_hash_and_if_that_is_forged_by_the_replay(saved, table):
     def nudge(arrays):
         arrays[table] = arrays[table] + 1e-6 * np.abs(arrays[table]).max()
@@ -126,7 +132,7 @@ def test_a_table_that_was_changed_is_refused_by_its_hash_and_if_that_is_forged_b
 
 
 def test_a_table_that_became_nan_is_refused_by_the_replay(saved):
-    rewrite(saved, lambda arrays: arrays["drift"].__setitem__((0, 0), np.nan))
+    rewrite(saved, lambda arrays: arrays["dynamics"].__setitem__((0, 0), np.nan))
     with pytest.raises(ValueError, match="differs by nan"):
         artifact.load(saved)
 
@@ -144,7 +150,7 @@ def test_rounding_of_another_machine_is_accepted(name, tmp_path):
             arrays[key] = arrays[key] + 4e-16 * size[key] * rng.choice([-1, 1], arrays[key].shape)
 
     rewrite(saved, round_differently, "reference.safetensors")
-    np.testing.assert_array_equal(artifact.load(saved).model.drift, MODELS[name].drift)
+    np.testing.assert_array_equal(artifact.load(saved).model.dynamics, MODELS[name].dynamics)
 
 
 @pytest.mark.parametrize("file", ["tables.safetensors", "reference.safetensors"])
@@ -172,38 +178,72 @@ def test_a_card_that_is_none_is_refused(saved, text, message):
         artifact.load(saved)
 
 
-@pytest.mark.parametrize(("key", "value"), [("format", "ssmr_torch artifact 1"), ("kind", "neural")])
-def test_another_format_is_refused_with_both_names(saved, key, value):
-    (saved / "card.json").write_text(json.dumps(card_of(saved) | {key: value}))
-    with pytest.raises(ValueError, match=f"'{value}'.*this version reads 'ssmr_torch artifact 2' of the kinds"):
+@pytest.mark.parametrize(("change", "value"), [
+    ({"format": "ssmr_torch artifact 1"}, "ssmr_torch artifact 1"), ({"format": artifact.BEFORE, "kind": "neural"}, "neural")])
+def test_another_format_is_refused_with_both_names(saved, change, value):
+    (saved / "card.json").write_text(json.dumps(card_of(saved) | change))
+    with pytest.raises(ValueError, match=f"'{value}'.*this version reads 'ssmr_torch artifact 3', and 'ssmr_torch artifact 2' of the kinds"):
         artifact.load(saved)
 
 
+def forged(directory, change):
+    """The metadata of the tables changed, and the card's hash of them."""
+    path = directory / "tables.safetensors"
+    with safe_open(path, "np") as file:
+        noted, arrays = file.metadata(), load_file(path)
+    change(noted)
+    save_file(arrays, path, noted)
+    card = card_of(directory)
+    card["sha256"][path.name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    (directory / "card.json").write_text(json.dumps(card))
+
+
 def test_a_setting_that_is_newer_than_the_artifact_has_the_value_of_then(tmp_path):
-    model = ControlAugmentedTables(
-        chart=np.eye(2), parametrization=np.eye(2), dynamics=-np.ones((2, 3)), parametrization_degree=1,
-        dynamics_degree=1, input_degree=1, state_scale=np.ones(2), input_dim=1, output_dim=2, delays=0, timestep=0.01,
-        window_timestep=0.01, base_timestep=0.01)
-    at = artifact.save(tmp_path / "old", model, output_names=["x", "y"], input_names=["u"], rest=[0.0, 0.0],
-                       input_range=[[0.0], [1.0]])
-    card = json.loads((at / "card.json").read_text())
-    for newer in ("saturated", "state_degree"):
-        del card["model"][newer]
-    (at / "card.json").write_text(json.dumps(card))
-    loaded = artifact.load(at).model
-    assert loaded.saturated is False and loaded.state_degree is None
+    at = artifact.save(tmp_path / "old", replace(MODELS["curved"], substeps=1), **DATA)
+
+    def without(noted):
+        plain = json.loads(noted["plain"])
+        del plain["substeps"]
+        noted["plain"] = json.dumps(plain)
+
+    forged(at, without)
+    assert artifact.load(at).model.substeps == 1
+
+
+@pytest.mark.parametrize(("named", "message"), [
+    ("robot_of_mine:Model", "which is not installed here.*install its package"),
+    ("json:JSONDecoder", "is no model; export"), ("json", "not installed here")])
+def test_a_model_of_a_class_that_is_not_here_or_is_no_model_is_refused(saved, named, message):
+    forged(saved, lambda noted: noted.update({"class": named}))
+    with pytest.raises(ValueError, match=message):
+        artifact.load(saved)
+
+
+@pytest.mark.parametrize("path", sorted((Path(__file__).parent / "written_by_0_7").glob("*/")), ids=lambda path: path.name)
+def test_artifacts_and_checkpoints_of_earlier_versions_load_and_predict_what_they_did(path, tmp_path):
+    """Each folder was written by version 0.7.1; loading replays what that version predicted."""
+    loaded = artifact.load(path / "artifact")
+    again = artifact.load(artifact.save(tmp_path / "again", loaded.model, **{key: loaded.card[key] for key in DATA}))
+    batch = artifact.reference(path / "artifact")
+    np.testing.assert_array_equal(again.model.step(batch["state"], batch["input"]),
+                                  loaded.model.step(batch["state"], batch["input"]))
+    assert again.card["format"] == artifact.FORMAT != loaded.card["format"]
+    trained, card = load_model(path / "model.ckpt")
+    assert card["output_names"] == loaded.card["output_names"]
+    np.testing.assert_allclose(trained.reduced.numpy().step(batch["state"], batch["input"]), batch["following"],
+                               rtol=1e-12, atol=1e-15)
 
 
 def test_what_is_not_there_is_said_to_be_missing(tmp_path):
     for path in (tmp_path / "absent", tmp_path):
-        with pytest.raises(FileNotFoundError, match="no card.json.*export.py"):
+        with pytest.raises(FileNotFoundError, match="no card.json.*ssmr export"):
             artifact.load(path)
 
 
 def test_an_artifact_is_replaced_whole(saved):
     artifact.save(saved, MODELS["linear"], **DATA, name="newer")
     loaded = artifact.load(saved)
-    assert loaded.card["name"] == "newer" and loaded.model.dynamics_degree == 1
+    assert loaded.card["name"] == "newer" and loaded.model.structure.dynamics.highest == 1
     assert [path.name for path in saved.parent.iterdir()] == [saved.name]
 
 
@@ -232,7 +272,7 @@ def test_a_save_that_is_interrupted_leaves_the_old_artifact_as_it_was(saved, mon
         monkeypatch.undo()
         assert artifact.load(saved).card["name"] == "ours"
     artifact.save(saved, MODELS["linear"], **DATA)
-    assert artifact.load(saved).model.dynamics_degree == 1
+    assert artifact.load(saved).model.structure.dynamics.highest == 1
 
 
 @pytest.mark.parametrize(("change", "message"), [
@@ -246,7 +286,7 @@ def test_a_card_that_contradicts_the_model_is_refused_before_anything_is_written
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(("table", "value"), [("drift", np.nan), ("state_scale", np.inf)])
+@pytest.mark.parametrize(("table", "value"), [("dynamics", np.nan), ("state_scale", np.inf)])
 def test_a_model_that_was_never_fitted_is_refused(tmp_path, table, value):
     broken = replace(MODELS["curved"], **{table: np.full_like(getattr(MODELS["curved"], table), value)})
     with pytest.raises(ValueError, match=f"the table {table} is not finite; fit the model"):

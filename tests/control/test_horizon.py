@@ -7,9 +7,8 @@ import pytest
 
 from ssmr_torch.control.horizon import CompiledHorizon, LinearHorizon, LinearizedHorizon, horizon_for
 from ssmr_torch.control.problem import TrackingProblem
-from ssmr_torch.models.control_augmented_tables import ControlAugmentedTables, joint_monomials
-from ssmr_torch.models.koopman_tables import KoopmanTables
-from ssmr_torch.models.monomials import count_monomials
+from ssmr_torch.models.monomials import count_monomials, graded
+from ssmr_torch.models.structures import control_augmented, control_augmented_structure, koopman
 
 
 def problem_of(bench, horizon=6, **changes):
@@ -42,7 +41,8 @@ def test_the_kernel_equals_its_twin_for_a_curved_output_with_substeps(bench):
     rng = np.random.default_rng(0)
     model = bench.oscillators(0, 2, 1)
     curved = np.hstack([np.eye(6), 3.0 * rng.standard_normal((6, 77))])
-    model = replace(model, parametrization=curved, parametrization_degree=3, substeps=3)
+    model = replace(model, parametrization=curved, substeps=3,
+                    structure=model.structure._replace(parametrization=graded(6, 1, 3)))
     problem = problem_of(bench)
     state, inputs = point_of(1)
     reference = problem.reference_ahead(0.0)
@@ -54,11 +54,12 @@ def test_the_kernel_equals_its_twin_for_a_curved_output_with_substeps(bench):
 
 def joint(rng, degree, input_degree, repeats, curved, edge=None):
     """A stable control-augmented model with random coefficients."""
-    monomials = joint_monomials(6, 4, degree, input_degree)
-    dynamics = 4.0 * rng.standard_normal((6, len(monomials)))
+    structure = control_augmented_structure(6, 4, 6, 0, parametrization_degree=1, dynamics_degree=degree,
+                                            input_degree=input_degree, state_degree=None, saturated=False)
+    dynamics = 4.0 * rng.standard_normal((6, len(structure.dynamics)))
     dynamics[:, :6] = -8.0 * np.eye(6) + 3.0 * rng.standard_normal((6, 6))
     output = np.hstack([np.eye(6), 4.0 * rng.standard_normal((6, 21))]) if curved else np.eye(6)
-    return ControlAugmentedTables(
+    return control_augmented(
         chart=np.eye(6), parametrization=output, dynamics=dynamics, parametrization_degree=2 if curved else 1,
         dynamics_degree=degree, input_degree=input_degree, saturated=edge is not None,
         state_scale=np.full(6, edge or 1.0), input_dim=4, output_dim=6, delays=0,
@@ -72,7 +73,7 @@ def lifted(rng, bilinear, relift, constant=True, repeats=2):
     A, B = 0.03 * rng.standard_normal((rows, count)), 0.1 * rng.standard_normal((rows, 4))
     A[:, :rows] += 0.9 * np.eye(rows)
     N = 0.02 * rng.standard_normal((4, rows, count)) if bilinear else np.zeros((0, rows, count))
-    return KoopmanTables(
+    return koopman(
         scale=np.full(6, 0.02), A=A, B=B, N=N, pregain=np.zeros((0, 7)), set_points=np.zeros((0, 7)), degree=2,
         input_delays=0, constant=constant, relift=relift, state_scale=np.ones(count), input_dim=4, output_dim=6,
         delays=0, timestep=0.01 * repeats, window_timestep=0.01, base_timestep=0.01)
