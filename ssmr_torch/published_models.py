@@ -10,15 +10,14 @@ import numpy as np
 import scipy.io
 from scipy.io.matlab import MatReadError
 
-from ssmr_torch.models.koopman_tables import KoopmanTables
-from ssmr_torch.models.monomials import Monomials, count_monomials
-from ssmr_torch.models.polynomial_tables import PolynomialTables
-from ssmr_torch.models.tables import ModelTables
+from ssmr_torch.models.monomials import count_monomials, graded
+from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.models.structures import koopman, spectral_submanifold
 
 
 def read_published_model(path: str | Path, *, output_names: Sequence[str], input_names: Sequence[str] | None = None,
                          rest: Sequence[float] | None = None, length_unit: float = 1e-3, input_unit: float = 1.0,
-                         state_scale: float = 0.05) -> tuple[ModelTables, dict]:
+                         state_scale: float = 0.05) -> tuple[PolynomialModel, dict]:
     """An SSMR or a Koopman model, whichever the file holds, and what an artifact's card says of it.
 
     output_names, input_names: of the robot; None names the inputs u1, u2, … rest: absolute position at rest, m, which a
@@ -47,7 +46,7 @@ def read_published_model(path: str | Path, *, output_names: Sequence[str], input
 
 
 def read_ssmr_model(path: str | Path, *, length_unit: float = 1e-3, input_unit: float = 1.0,
-                    state_scale: float = 0.05, substeps: int = 1) -> PolynomialTables:
+                    state_scale: float = 0.05, substeps: int = 1) -> PolynomialModel:
     """The SSMR model that the paper's authors store as MATLAB struct `py_data` with fields model and params.
 
     Their w_coeff, v_coeff, r_coeff multiply graded monomials as ours do; a coefficient of degree d in mm is
@@ -72,9 +71,9 @@ def read_ssmr_model(path: str | Path, *, length_unit: float = 1e-3, input_unit: 
                          f"{outputs} outputs; expected {(delays + 1) * outputs}, n, n, n")
     degrees = {name: _degree(path, name, table.shape[1], variables)
                for name, table, variables in (("w", w, n), ("v", v, window), ("r", r, n))}
-    to_metres = {name: length_unit ** (1.0 - Monomials(variables, 1, degrees[name]).exponents.sum(1))
+    to_metres = {name: length_unit ** (1.0 - graded(variables, 1, degrees[name]).exponents.sum(1))
                  for name, variables in (("w", n), ("v", window), ("r", n))}
-    return PolynomialTables(
+    return spectral_submanifold(
         chart=v * to_metres["v"], parametrization=w * to_metres["w"], drift=r * to_metres["r"],
         control=B * length_unit / input_unit, state_scale=np.full(n, state_scale),
         chart_degree=degrees["v"], parametrization_degree=degrees["w"], dynamics_degree=degrees["r"],
@@ -83,7 +82,7 @@ def read_ssmr_model(path: str | Path, *, length_unit: float = 1e-3, input_unit: 
 
 
 def read_koopman_model(path: str | Path, *, rest: Sequence[float], length_unit: float = 1e-3,
-                       input_unit: float = 1e-3) -> KoopmanTables:
+                       input_unit: float = 1e-3) -> PolynomialModel:
     """The linear Koopman model, with its pregain, that the paper's authors store as MATLAB struct `py_data`.
 
     Theirs is x⁺ = A x + B v, v = G y' at rest, in scaled absolute coordinates x = [y'_k, …, y'_{k-n_d}],
@@ -115,7 +114,7 @@ def read_koopman_model(path: str | Path, *, rest: Sequence[float], length_unit: 
     affine = np.eye(1 + size)
     affine[1:] = np.column_stack([A @ shift - shift - B @ (u_offset / u_factor), A])
     pregain = np.column_stack([u_offset + u_factor * (G @ shift[:p]), u_factor[:, None] * G / (length_unit * factor)])
-    return KoopmanTables(
+    return koopman(
         # their data fill -1 … 1 about the offset
         state_scale=np.r_[1.0, 1.0 + np.abs(shift)], scale=np.tile(length_unit * factor, delays + 1), A=affine,
         B=np.vstack([np.zeros(m), B / (input_unit * u_factor)]), N=np.zeros((0, 1 + size, 1 + size)),

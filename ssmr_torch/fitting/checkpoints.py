@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from pathlib import Path
 
 import torch
 
+from ssmr_torch import artifact
 from ssmr_torch.fitting.fit import description
-from ssmr_torch.models.base import ReducedModel
+from ssmr_torch.models.base import named
+from ssmr_torch.models.torch_model import TorchModel
 
 DECISIVE = ("data", "outputs", "model", "module", "seed")
 
 
-def save_model(path: Path, model: ReducedModel, card: dict) -> Path:
-    """The fitted model alone, as `load_model` reads it; written aside, then renamed."""
+def save_model(path: Path, model: TorchModel, card: dict) -> Path:
+    """The fitted model alone, as `load_model` reads it, and its twin without Torch beside it, see `artifact.save_twin`."""
     # every process of a distributed run writes the same
     aside = path.with_name(f"{path.name}.{os.getpid()}.part")
     torch.save({"model": description(model), "card": card,
                 "state_dict": {f"model.{name}": value for name, value in model.state_dict().items()}}, aside)
     os.replace(aside, path)
+    artifact.save_twin(path, model.reduced.numpy(), card)
     return path
 
 
-def load_model(checkpoint: str | Path) -> tuple[ReducedModel, dict]:
+def load_model(checkpoint: str | Path) -> tuple[TorchModel, dict]:
     """The model of a checkpoint and the card of its data; nothing is unpickled but plain values.
 
     Raises FileNotFoundError, or ValueError for a checkpoint of something else.
@@ -38,9 +40,10 @@ def load_model(checkpoint: str | Path) -> tuple[ReducedModel, dict]:
                          "ssmr train") from error
     try:
         module, _, name = stored["model"]["class"].rpartition(".")
-        if not module.startswith("ssmr_torch.models."):
-            raise ValueError(f"its class is {stored['model']['class']!r}")
-        model = getattr(importlib.import_module(module), name)(**stored["model"]["arguments"])
+        kind = named(f"{module}:{name}")
+        if not (isinstance(kind, type) and issubclass(kind, TorchModel)):
+            raise ValueError(f"its class is {stored['model']['class']!r}, which is no model")
+        model = kind(**stored["model"]["arguments"])
         model.load_state_dict({key.removeprefix("model."): value for key, value in stored["state_dict"].items()
                                if key.startswith("model.")})
         return model, stored["card"]

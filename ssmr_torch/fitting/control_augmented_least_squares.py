@@ -73,9 +73,9 @@ class ControlAugmentedLeastSquares(nn.Module):
         z = model.encode(windows, held)
         u, y = segment.input[delays:-1], segment.observation[delays:-1]
         now, rate, u, y = self._core(segment, z[:-1], (z[1:] - z[:-1]) / model.base_timestep, u, y)
-        monomials = model.dynamics_features(torch.cat([now, u], dim=-1))  # nothing saturates within the training range
+        monomials = model.structure.dynamics(torch.cat([now, u], dim=-1))  # nothing saturates within the training range
         return {"dynamics": Regression(monomials, rate),
-                "parametrization": Regression(model.parametrization_features(now), y)}
+                "parametrization": Regression(model.structure.parametrization(now), y)}
 
     def _coordinates(self, segment: Segment, windows: Tensor, held: Tensor) -> dict[str, Regression]:
         if not self.predictive:
@@ -86,7 +86,7 @@ class ControlAugmentedLeastSquares(nn.Module):
         delays, future = self.model.delays, self.future
         if len(windows) <= future:
             return {}
-        past = self.model.chart_regressors(windows, held)[:-future]
+        past = self.model.reduced.chart_regressors(windows, held)[:-future]
         inputs = delay_windows(segment.input[delays:-1], future - 1).flatten(1)
         outputs = delay_windows(segment.observation[delays:], future).flatten(1)
         past, inputs, outputs = self._core(segment, past, inputs, outputs)

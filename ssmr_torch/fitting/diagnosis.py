@@ -10,17 +10,14 @@ from torch.nn.utils.rnn import pad_sequence
 
 from ssmr_torch.data.windows import RolloutBatch, RolloutDataset
 from ssmr_torch.fitting.dimension import captured_variance
-from ssmr_torch.fitting.rollout_sensitivities import dynamics_tables
-from ssmr_torch.models.base import ReducedModel
-from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
-from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.models.torch_model import TorchModel
 
 ILL_CONDITIONED = 1e8
 STARTS_AT_ONCE = 512
 
 
 @torch.no_grad()
-def training_divergence(model: ReducedModel, trajectories: Sequence, horizon: float = 1.0,
+def training_divergence(model: TorchModel, trajectories: Sequence, horizon: float = 1.0,
                         transient: float = 0.0) -> dict[str, float]:
     """Share of diverged rollouts of the training data: of decays from `transient` s on over their full length, of
     other runs cut into stretches of `horizon` s. A mean over survivors alone would hide them.
@@ -39,7 +36,7 @@ def _without(transient: float, run):
     return run.part(first) if first else run
 
 
-def _batches(model: ReducedModel, trajectories: Sequence, kind: str, horizon: float) -> Iterator[list[RolloutBatch]]:
+def _batches(model: TorchModel, trajectories: Sequence, kind: str, horizon: float) -> Iterator[list[RolloutBatch]]:
     batch = []
     for run in trajectories:
         sampling = max(round(model.timestep / run.timestep), 1)
@@ -58,7 +55,7 @@ def _batches(model: ReducedModel, trajectories: Sequence, kind: str, horizon: fl
         yield batch
 
 
-def _diverged(model: ReducedModel, starts: list[RolloutBatch]) -> Tensor:
+def _diverged(model: TorchModel, starts: list[RolloutBatch]) -> Tensor:
     """Whether each start diverges within its own length; shorter ones are continued without input meanwhile."""
     lengths = torch.tensor([len(start.inputs) for start in starts])
     windows, inputs = (torch.stack([getattr(start, name) for start in starts]) for name in ("window", "window_inputs"))
@@ -73,11 +70,8 @@ def diagnose(fit, trajectories: Sequence, transient: float = 0.0) -> dict:
     diverged = training_divergence(model, trajectories, transient=transient)
     report = {"regressions": getattr(fit, "solutions", {}), "diverged": diverged,
               "trajectories": {kind: sum(t.kind == kind for t in trajectories) for kind in ("decay", "controlled")}}
-    if isinstance(model, (SSMR, ControlAugmentedSSMR)):
-        eigenvalues = torch.linalg.eigvals(dynamics_tables(model)[0][:, :model.state_dim])
-        if isinstance(model, ControlAugmentedSSMR):
-            eigenvalues = torch.log(1 + model.base_timestep * eigenvalues) / model.base_timestep
-        report["eigenvalues"] = [[float(value.real), float(value.imag)] for value in eigenvalues]
+    if "dynamics" in model.tables:
+        report["eigenvalues"] = [[float(value.real), float(value.imag)] for value in model.reduced.rates]
     singular = getattr(getattr(fit, "procedure", None), "singular_values", None)
     if singular is not None:
         values = singular.cpu().numpy()
@@ -89,10 +83,10 @@ def diagnose(fit, trajectories: Sequence, transient: float = 0.0) -> dict:
     return report
 
 
-def warnings(report: dict, model: ReducedModel) -> list[str]:
+def warnings(report: dict, model: TorchModel) -> list[str]:
     """Sentences that say what is doubtful about a fit and what to do."""
     found = []
-    if isinstance(model, SSMR):
+    if model.tables and len(model.reduced.parametrization) == model.window_dim:
         found += _geometry_warnings(report, model)
     unstable = [value for value in report.get("eigenvalues", []) if value[0] >= 0]
     if unstable:
@@ -112,18 +106,19 @@ def warnings(report: dict, model: ReducedModel) -> list[str]:
     return found
 
 
-def _geometry_warnings(report: dict, model: SSMR) -> list[str]:
+def _geometry_warnings(report: dict, model: TorchModel) -> list[str]:
     found = []
     if model.window_dim == model.state_dim:
         found.append(f"The window holds p = {model.window_dim} values, as many as the n = {model.state_dim} reduced "
                      "coordinates: the parametrization is linear, and all nonlinearity sits in the dynamics. "
                      "More outputs or delays give a curved manifold.")
     decays = report["trajectories"]["decay"]
-    needed = len(model.drift_features)
+    of_state = [factors for factors in model.structure.dynamics.factors if factors[-1] < model.state_dim]
+    needed = len(of_state)
     frozen = "drift" in report["regressions"]
-    if decays < needed / 4 and model.dynamics_degree > 1 and frozen:
+    if decays < needed / 4 and max(map(len, of_state)) > 1 and frozen:
         found.append(f"{decays} decays for {needed} coefficients per row of the reduced dynamics: too few for degree "
-                     f"{model.dynamics_degree}; use calibration=joint, more decays, or a lower degree.")
+                     f"{max(map(len, of_state))}; use calibration=joint, more decays, or a lower degree.")
     if decays == 0:
         found.append("No decays: the tangent space was found from controlled runs, which leave the manifold.")
     if report.get("captured_variance", 1.0) < 0.95:

@@ -11,6 +11,7 @@ from ssmr_torch.data.windows import Segment, delay_windows
 from ssmr_torch.fitting.ssmr_least_squares import Regression
 from ssmr_torch.fitting.statistics import Solution
 from ssmr_torch.models.koopman import Koopman
+from ssmr_torch.periods import whole_multiple
 
 # of the largest input of a run
 SAME_INPUT = 1e-9
@@ -48,11 +49,7 @@ class KoopmanLeastSquares(nn.Module):
 
     def sampled_every(self, timestep: float) -> None:
         """Take the data's sampling time, s. Raises ValueError where the model's timestep is no whole multiple."""
-        ratio = self.model.base_timestep / timestep
-        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-3 * ratio:
-            raise ValueError(f"the model's timestep is {self.model.base_timestep:g} s, {ratio:.4g} times the data's "
-                             f"{timestep:g} s; expected a whole multiple")
-        self.stride = round(ratio)
+        self.stride = whole_multiple("the model's timestep", self.model.base_timestep, "the data's", timestep)
 
     @property
     def before(self) -> int:

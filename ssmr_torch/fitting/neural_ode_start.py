@@ -11,7 +11,7 @@ from ssmr_torch.data.windows import Segment
 from ssmr_torch.fitting.ssmr_least_squares import Regression, SSMRLeastSquares
 from ssmr_torch.fitting.statistics import Solution
 from ssmr_torch.models.neural_ode import NeuralODE
-from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.models.ssmr import SSSR
 
 
 class NeuralODEStart(nn.Module):
@@ -26,7 +26,7 @@ class NeuralODEStart(nn.Module):
         super().__init__()
         # not a submodule: the fit that holds this procedure also holds the model, and saves it once
         self.__dict__["model"] = model
-        linear = SSMR(model.state_dim, model.input_dim, model.output_dim, model.delays, timestep=model.timestep,
+        linear = SSSR(model.state_dim, model.input_dim, model.output_dim, model.delays, timestep=model.timestep,
                       window_timestep=model.window_timestep)
         self.sssr = SSMRLeastSquares(linear, **options)
         self.stages, self.before, self.after = self.sssr.stages, self.sssr.before, self.sssr.after

@@ -7,17 +7,15 @@ window ─chart→ z_0 ─steps→ z_k ─parametrization→ ŷ_k,   Λ_j = ∂�
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from ssmr_torch.data.windows import RolloutBatch
-from ssmr_torch.models.base import ReducedModel
-from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
-from ssmr_torch.models.integrators import rk4_step
-from ssmr_torch.models.monomial_features import MonomialFeatures
-from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.models.torch_model import TorchModel
+from ssmr_torch.models.polynomial import PolynomialModel
 
 GROUPS = ("dynamics", "chart", "parametrization")
 
@@ -43,49 +41,49 @@ class Steps(NamedTuple):
     regressors: Tensor
 
 
-def coefficients(model: ReducedModel, groups: Sequence[str] = GROUPS) -> list[Tensor]:
+def coefficients(model: TorchModel, groups: Sequence[str] = GROUPS) -> list[Tensor]:
     """Views of the coefficient tables in which the rollout is differentiated, in the order of the columns.
 
     dynamics: all tables of the reduced dynamics, as one (n, q) where there are two; chart: (n, k); parametrization:
     the newest sample's rows (p, q_w), the only ones that a prediction uses.
     Raises ValueError for another group.
     """
-    dynamics = dynamics_tables(model)
+    _ = dynamics_tables(model)
     unknown = [group for group in groups if group not in GROUPS]
     if unknown or not groups:
         raise ValueError(f"trained is {list(groups)}; expected some of {GROUPS}")
-    tables = {"dynamics": dynamics, "chart": [model.chart.data],
-              "parametrization": [model.parametrization.data[-model.output_dim:]]}
-    return [table for group in GROUPS if group in groups for table in tables[group]]
+    rows = {"dynamics": slice(None), "chart": slice(None), "parametrization": slice(-model.output_dim, None)}
+    return [getattr(model, name).data[rows[group]] for group in GROUPS if group in groups
+            for name in model.tables[group]]
 
 
-def dynamics_tables(model: ReducedModel) -> list[Tensor]:
-    """Tables of the reduced dynamics, whose columns follow each other in `dynamics_regressors`.
+def dynamics_tables(model: TorchModel) -> list[Tensor]:
+    """Views of the tables of the reduced dynamics, whose columns follow each other in `dynamics_regressors`.
 
     Raises ValueError for a model whose dynamics are no table times regressors.
     """
-    if isinstance(model, SSMR):
-        return [model.drift_table.data, model.control_table.data]
-    if isinstance(model, ControlAugmentedSSMR):
-        return [model.dynamics_table.data]
-    raise ValueError(f"{type(model).__name__} has no coefficient tables; Gauss-Newton steps and the stability guard "
-                     "take SSMR, SSSR and control-augmented models, others are refined with fit=rollout")
+    if "dynamics" not in model.tables or model.structure.relift:
+        raise ValueError(f"{type(model).__name__} has no coefficient tables; Gauss-Newton steps and the stability guard "
+                         "take SSMR, SSSR, control-augmented and other models that name their tables; the rest are "
+                         "refined with fit=rollout")
+    return [getattr(model, name).data for name in model.tables["dynamics"]]
 
 
 @torch.no_grad()
-def rollout_sensitivities(model: SSMR | ControlAugmentedSSMR, batch: RolloutBatch, steps: Sequence[int],
+def rollout_sensitivities(model: TorchModel, batch: RolloutBatch, steps: Sequence[int],
                           groups: Sequence[str] = GROUPS) -> Iterator[OutputSensitivity]:
     """Outputs and their derivatives after each of `steps` (ascending, from 1), for all starts of a batch at once.
 
     The sensitivities are those of the discretized model: Runge-Kutta stages are differentiated one by one.
     """
+    widths, model = [table.shape[1] for table in dynamics_tables(model)], model.reduced
     taken, within = _steps(model, batch, max(steps)), _within(model)
     features = model.chart_regressors(batch.window, batch.window_inputs)
     for step in steps:
         before = Steps(taken.states, *(part[:, :step * within] for part in taken[1:]))
         z = taken.states[:, step * within]
         first, after = _adjoints(model.linearize_output(z).C, before.transitions)
-        parts = _of_dynamics(model, after, before) if "dynamics" in groups else []
+        parts = _of_dynamics(model, widths, after, before) if "dynamics" in groups else []
         if "chart" in groups:
             parts.append((first[..., None] * features[:, None, None]).flatten(-2))
         if "parametrization" in groups:
@@ -101,34 +99,31 @@ def _adjoints(C: Tensor, transitions: Tensor) -> tuple[Tensor, Tensor]:
     return adjoints[-1], torch.stack(adjoints[-2::-1], dim=1)
 
 
-def _within(model) -> int:
+def _within(model: PolynomialModel) -> int:
     """Integrator steps within a timestep."""
-    return model.repeats if isinstance(model, ControlAugmentedSSMR) else model.substeps
+    return model.substeps if model.flow else model.repeats
 
 
-def _steps(model, batch: RolloutBatch, count: int) -> Steps:
+def _steps(model: PolynomialModel, batch: RolloutBatch, count: int) -> Steps:
     """The integrator steps of a rollout over `count` timesteps."""
-    inputs = batch.inputs[:, :count].repeat_interleave(_within(model), dim=1)
-    augmented = isinstance(model, ControlAugmentedSSMR)
-    states = [model.encode(batch.window, batch.window_inputs)]
-    for u in inputs.unbind(1):
-        states.append(model.advance(states[-1], u) if augmented else
-                      rk4_step(lambda z: model.rate(z, u), states[-1], model.timestep / model.substeps))
-    states = torch.stack(states, dim=1)
-    return Steps(states, *(_map_steps if augmented else _runge_kutta_steps)(model, states[:, :-1], inputs))
+    within = _within(model)
+    inputs = batch.inputs[:, :count].repeat_interleave(within, dim=1)
+    single = replace(model, timestep=model.timestep / within, substeps=1)
+    states = single.states(model.encode(batch.window, batch.window_inputs), inputs)
+    return Steps(states, *(_runge_kutta_steps if model.flow else _map_steps)(single, states[:, :-1], inputs))
 
 
-def _map_steps(model: ControlAugmentedSSMR, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    n, h = model.state_dim, model.base_timestep
-    identity, linear = torch.eye(n, dtype=z.dtype, device=z.device), model.dynamics_table[:, :n]
-    joint, slopes = model.joint(z, u)
-    by_state = _jacobian(model.dynamics_features, model.dynamics_table, joint)[..., :n]
-    transition = identity + h * (slopes[..., None, :] * (by_state - linear) + linear)
+def _map_steps(model: PolynomialModel, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    h = model.base_timestep if model.structure.scheme == "euler" else 1.0
+    identity = torch.eye(model.state_dim, dtype=z.dtype, device=z.device)
+    transition = h * model.state_jacobian(z, u)
+    if model.structure.scheme == "euler":
+        transition = identity + transition
     return transition, (h * identity)[:, None].expand(*z.shape, 1, -1), model.dynamics_regressors(z, u)[:, :, None]
 
 
-def _runge_kutta_steps(model: SSMR, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    h, stages = model.timestep / model.substeps, [z]
+def _runge_kutta_steps(model: PolynomialModel, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    h, stages = model.timestep, [z]
     for ahead in (0.5 * h, 0.5 * h, h):
         stages.append(z + ahead * model.rate(stages[-1], u))
     identity = torch.eye(model.state_dim, dtype=z.dtype, device=z.device)
@@ -136,48 +131,23 @@ def _runge_kutta_steps(model: SSMR, z: Tensor, u: Tensor) -> tuple[Tensor, Tenso
     # from the last stage to the first: a rate acts on z⁺ by its own share and through the stage that it leads to
     for stage, share, ahead in zip(reversed(stages), (1.0, 2.0, 2.0, 1.0), (0.0, h, 0.5 * h, 0.5 * h)):
         gains.insert(0, share * h / 6.0 * identity + ahead * through)
-        through = gains[0] @ _rate_jacobian(model, stage, u)
+        through = gains[0] @ model.state_jacobian(stage, u)
         transition = transition + through
     gains[-1] = gains[-1].expand_as(transition)
     regressors = [model.dynamics_regressors(stage, u) for stage in stages]
     return transition, torch.stack(gains, dim=3), torch.stack(regressors, dim=2)
 
 
-def _rate_jacobian(model: SSMR, z: Tensor, u: Tensor) -> Tensor:
-    drift = _jacobian(model.drift_features, model.drift_table, z)
-    if model.control_degree == 0:
-        return drift
-    by_input = model.control_table.unflatten(-1, (-1, model.input_dim))[:, 1:].transpose(1, 2).flatten(0, 1)
-    slopes = _slopes(model.control_features, by_input).unflatten(0, (model.state_dim, -1)).permute(0, 2, 3, 1)
-    powers = model.control_features.all_degrees(z)[..., :slopes.shape[2]]
-    products = (powers[..., None] * u[..., None, :]).flatten(-2)
-    return drift + (products @ slopes.flatten(2).flatten(0, 1).T).unflatten(-1, (model.state_dim, -1))
-
-
-def _jacobian(features: MonomialFeatures, table: Tensor, x: Tensor) -> Tensor:
-    """table · ∂φ/∂x, (..., rows, variables), as polynomials in x, which spares the Jacobian of every monomial."""
-    slopes = _slopes(features, table)
-    return (features.all_degrees(x)[..., :slopes.shape[2]] @ slopes.flatten(0, 1).T).unflatten(-1, slopes.shape[:2])
-
-
-def _slopes(features: MonomialFeatures, table: Tensor) -> Tensor:
-    """Coefficients of table · ∂φ/∂x in x^{0:d−1}, (rows, variables, ·)."""
-    index = features.derivative_index
-    slopes = table.new_zeros(len(table), index.shape[1], int(index.max()) + 1)
-    return slopes.scatter_add_(2, index.T.expand(len(table), -1, -1), features.exponents.T * table[:, None])
-
-
-def _of_dynamics(model, after: Tensor, before: Steps) -> list[Tensor]:
+def _of_dynamics(model: PolynomialModel, widths: list[int], after: Tensor, before: Steps) -> list[Tensor]:
     """For each dynamics table, Σ Λ G ⊗ φ over all stages of all steps, (N, p, n q): one product per start."""
     felt = (after @ before.gains.flatten(-2)).unflatten(-1, (-1, model.state_dim))
     felt = felt.permute(0, 2, 4, 1, 3).flatten(3).flatten(1, 2)
-    widths = [table.shape[1] for table in dynamics_tables(model)]
     return [(felt @ regressors).view(len(after), model.output_dim, -1)
             for regressors in torch.split(before.regressors.flatten(1, 2), widths, dim=-1)]
 
 
-def _of_parametrization(model, z: Tensor) -> Tensor:
-    features = model.parametrization_features(z)
+def _of_parametrization(model: PolynomialModel, z: Tensor) -> Tensor:
+    features = model.structure.parametrization(z)
     J = z.new_zeros(len(z), model.output_dim, model.output_dim, features.shape[1])
     J.diagonal(dim1=1, dim2=2).add_(features[..., None])
     return J.flatten(-2)

@@ -11,8 +11,7 @@ from torch import Tensor, nn
 from ssmr_torch.data.derivatives import Stencil, central_difference
 from ssmr_torch.data.windows import Segment, delay_windows
 from ssmr_torch.fitting.statistics import Solution, singular_values
-from ssmr_torch.models.monomial_features import MonomialFeatures
-from ssmr_torch.models.monomials import Monomials
+from ssmr_torch.models.monomials import graded
 from ssmr_torch.models.ssmr import SSMR
 
 
@@ -92,7 +91,7 @@ class SSMRLeastSquares(nn.Module):
             raise ValueError(f"a window of {long_window} values cannot hold {n} reduced coordinates")
         self.register_buffer("detection_chart", torch.zeros(n, long_window, dtype=torch.float64))
         self.register_buffer("singular_values", torch.zeros(long_window, dtype=torch.float64))
-        self.nonlinear_features = MonomialFeatures(Monomials(n, 1, model.parametrization_degree))
+        self.nonlinear_features = graded(n, 1, model.parametrization_degree)
 
     @property
     def before(self) -> int:
@@ -185,24 +184,28 @@ class SSMRLeastSquares(nn.Module):
         if (curved or self.reparametrized) and features.shape[1] > first:
             found["parametrization"] = Regression(features[:, first:], window - z @ linear)
         if model.chart_degree > 1:
-            found["chart"] = Regression(model.chart_features(window)[:, model.window_dim:], z - window @ linear.T)
+            found["chart"] = Regression(model.structure.chart(window)[:, model.window_dim:], z - window @ linear.T)
         return found
 
     def _drift(self, segment: Segment) -> dict[str, Regression]:
-        z, rate, _ = self._rates(segment)
-        return {"drift": Regression(self.model.drift_features(z), rate)}
+        features, rate = self._rates(segment)
+        return {"drift": Regression(features[:, :self._drift_columns], rate)}
 
     def _control(self, segment: Segment) -> dict[str, Regression]:
-        z, rate, inputs = self._rates(segment)
-        return {"control": Regression(self.model.control_regressors(z, inputs), rate - self.model.drift(z))}
+        features, rate = self._rates(segment)
+        free = features[:, :self._drift_columns]
+        return {"control": Regression(features[:, self._drift_columns:], rate - free @ self.model.drift_table.T)}
 
     def _dynamics(self, segment: Segment) -> dict[str, Regression]:
-        z, rate, inputs = self._rates(segment)
-        features = torch.cat([self.model.drift_features(z), self.model.control_regressors(z, inputs)], dim=1)
+        features, rate = self._rates(segment)
         return {"dynamics": Regression(features, rate)}
 
-    def _rates(self, segment: Segment) -> tuple[Tensor, Tensor, Tensor]:
-        """Core rows of z, dz/dt and the input that belongs to them.
+    @property
+    def _drift_columns(self) -> int:
+        return self.model.drift_table.shape[1]
+
+    def _rates(self, segment: Segment) -> tuple[Tensor, Tensor]:
+        """Core rows of the regressors of the dynamics, at z and the input that belongs to it, and of dz/dt.
 
         Decays are seen through the detecting windows; controlled runs, as later in the loop, through the chart.
         """
@@ -214,7 +217,8 @@ class SSMRLeastSquares(nn.Module):
         align = stencil.held_input if self.input_alignment == "held" else stencil.sampled_input
         rate, felt = stencil(z, segment.timestep), align(segment.input[delays:])
         middle = z[stencil.half_width:stencil.half_width + len(rate)]
-        return tuple(segment.core_rows(rows, delays + stencil.half_width) for rows in (middle, rate, felt))
+        z, rate, felt = (segment.core_rows(rows, delays + stencil.half_width) for rows in (middle, rate, felt))
+        return self.model.structure.dynamics(torch.cat([z, felt], dim=1)), rate
 
     def _assign_tangent_space(self, solution: Solution) -> None:
         values, vectors = singular_values(solution.factor)
@@ -237,6 +241,6 @@ class SSMRLeastSquares(nn.Module):
             self.model.control_table.copy_(solutions["control"].coefficients)
             return
         coefficients = solutions["dynamics"].coefficients
-        split = len(self.model.drift_features)
+        split = self._drift_columns
         self.model.drift_table.copy_(coefficients[:, :split])
         self.model.control_table.copy_(coefficients[:, split:])

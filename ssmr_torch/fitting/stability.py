@@ -12,9 +12,8 @@ from torch.nn.utils.rnn import pad_sequence
 from ssmr_torch.data.windows import RolloutBatch, RolloutDataset, stack_rollouts
 from ssmr_torch.fitting.fit import ModelFit
 from ssmr_torch.fitting.rollout_sensitivities import dynamics_tables
-from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
-from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.models.torch_model import TorchModel
 
 HALVINGS = 12
 
@@ -44,17 +43,17 @@ class StabilityGuard:
         self.horizon, self.starts = float(horizon), int(starts)
         self._recorded: dict[int, tuple[RolloutBatch, list[RolloutBatch]]] = {}
 
-    def holds(self, model: SSMR | ControlAugmentedSSMR) -> bool:
+    def holds(self, model: TorchModel) -> bool:
         """Whether the linear part is stable and no training rollout diverges."""
         return bool((self._excess(model) <= 1e-9).all()) and not self.diverges(model)
 
     @torch.no_grad()
-    def diverges(self, model: SSMR | ControlAugmentedSSMR) -> bool:
+    def diverges(self, model: TorchModel) -> bool:
         """Whether any full-length rollout of a training trajectory leaves the range."""
         return any(left > 0 for left in self._leaving(model, at_most=1))
 
     @torch.no_grad()
-    def diverging(self, model: SSMR | ControlAugmentedSSMR) -> float:
+    def diverging(self, model: TorchModel) -> float:
         """Share of the rollouts from the samples that leave the range, plus that of the full-length ones: only 0 means
         that none does.
         """
@@ -62,7 +61,7 @@ class StabilityGuard:
 
     def _leaving(self, model, at_most: int | None = None) -> Iterator[float]:
         """Share that leaves, of the rollouts from the samples, then of the full-length ones."""
-        bounded = getattr(model, "saturated", False)
+        bounded = model.structure.saturated
         bound = (DIVERGENCE_FACTOR if bounded else self.reach) * torch.linalg.vector_norm(model.state_scale)
         if not torch.isfinite(bound):
             raise ValueError("the range of the training states is not known; guard a model after its closed form")
@@ -80,13 +79,14 @@ class StabilityGuard:
     def _left(model, batches: list[RolloutBatch], bound: Tensor, at_most: int | None) -> int:
         """How many rollouts leave the bound, counted up to `at_most`; batches by falling length, padded to the longest.
         """
+        reduced = model.reduced
         lengths = torch.cat([torch.full((len(batch.inputs),), batch.inputs.shape[1]) for batch in batches])
-        states = torch.cat([model.encode(batch.window, batch.window_inputs) for batch in batches])
+        states = torch.cat([reduced.encode(batch.window, batch.window_inputs) for batch in batches])
         inputs = pad_sequence([row for batch in batches for row in batch.inputs], batch_first=True)
         left = torch.zeros(len(states), dtype=torch.bool, device=states.device)
         for k in range(inputs.shape[1]):
             running = int((lengths > k).sum())
-            states = model.step(states[:running], inputs[:running, k])
+            states = reduced.step(states[:running], inputs[:running, k])
             left[:running] |= ~(torch.linalg.vector_norm(states, dim=-1) <= bound)
             if at_most is not None and int(left.sum()) >= at_most:
                 break
@@ -105,7 +105,7 @@ class StabilityGuard:
         return self._recorded[delays]
 
     @torch.no_grad()
-    def enforce(self, model: SSMR | ControlAugmentedSSMR) -> dict[str, float]:
+    def enforce(self, model: TorchModel) -> dict[str, float]:
         """Make the model hold with the smallest changes of these kinds; {what: how much}, empty where nothing was done.
 
         Eigenvalues beyond the margin are moved onto it, with their frequencies and eigenvectors kept. Then all terms
@@ -124,30 +124,28 @@ class StabilityGuard:
                 break
         return found | {"nonlinear terms multiplied by": factor}
 
-    def _excess(self, model) -> Tensor:
-        """By how much Re λ, or the rate log|1 + h λ| / h, exceeds −margin, (n,), 1/s."""
-        eigenvalues = torch.linalg.eigvals(_linear_part(model))
-        if isinstance(model, ControlAugmentedSSMR):
-            h = model.base_timestep
-            return torch.log((1 + h * eigenvalues).abs().clamp_min(1e-300)) / h + self.margin
-        return eigenvalues.real + self.margin
+    def _excess(self, model: TorchModel) -> Tensor:
+        """By how much Re λ of the linear part, in continuous time, exceeds −margin, (n,), 1/s."""
+        return _in_continuous_time(model, torch.linalg.eigvals(model.reduced.linear_part)).real + self.margin
 
     @torch.no_grad()
-    def stabilize(self, model: SSMR | ControlAugmentedSSMR) -> int:
+    def stabilize(self, model: TorchModel) -> int:
         """Move eigenvalues of the linear part beyond the margin onto it; how many there were."""
         beyond = int((self._excess(model) > 1e-9).sum())
         if beyond:
-            linear = _linear_part(model)
-            eigenvalues, vectors = torch.linalg.eig(linear)
-            if isinstance(model, ControlAugmentedSSMR):
-                h = model.base_timestep
-                factors = 1 + h * eigenvalues
-                largest = torch.exp(torch.as_tensor(-self.margin * h))
-                moved = (factors * torch.clamp(largest / factors.abs().clamp_min(1e-300), max=1.0) - 1) / h
-            else:
-                moved = torch.complex(torch.clamp(eigenvalues.real, max=-self.margin), eigenvalues.imag)
-            linear.copy_(torch.linalg.solve(vectors.mT, (vectors * moved).mT).mT.real)
+            eigenvalues, vectors = torch.linalg.eig(model.reduced.linear_part)
+            moved = self._moved(model, eigenvalues)
+            _put_linear_part(model, torch.linalg.solve(vectors.mT, (vectors * moved).mT).mT.real)
         return beyond
+
+    def _moved(self, model: TorchModel, eigenvalues: Tensor) -> Tensor:
+        """Those beyond the margin on it, with their frequencies kept."""
+        if model.reduced.flow:
+            return torch.complex(torch.clamp(eigenvalues.real, max=-self.margin), eigenvalues.imag)
+        offset, h = _of_steps(model)
+        factors = offset + h * eigenvalues
+        largest = torch.exp(torch.as_tensor(-self.margin * model.base_timestep))
+        return (factors * torch.clamp(largest / factors.abs().clamp_min(1e-300), max=1.0) - offset) / h
 
 
 class GuardFit(ModelFit):
@@ -158,7 +156,7 @@ class GuardFit(ModelFit):
 
     epochs, starts = 1, 1
 
-    def __init__(self, model: SSMR | ControlAugmentedSSMR, *, margin: float = 0.05, reach: float = 3.0,
+    def __init__(self, model: TorchModel, *, margin: float = 0.05, reach: float = 3.0,
                  overdrive: float = 1.25):
         super().__init__(model)
         dynamics_tables(model)
@@ -181,15 +179,32 @@ def _settled(run, transient: float):
     return run.part(first) if first else run
 
 
-def _linear_part(model) -> Tensor:
-    """View of R₁ (n, n), the columns that multiply z alone."""
-    return dynamics_tables(model)[0][:, :model.state_dim]
+def _of_steps(model: TorchModel) -> tuple[float, float]:
+    """offset and h, such that an eigenvalue λ of the linear part multiplies the state by offset + h λ in a step."""
+    return (1.0, model.base_timestep) if model.structure.scheme == "euler" else (0.0, 1.0)
 
 
-def _linear_columns(model) -> list[Tensor]:
+def _in_continuous_time(model: TorchModel, eigenvalues: Tensor) -> Tensor:
+    if model.reduced.flow:
+        return eigenvalues
+    offset, h = _of_steps(model)
+    factors = offset + h * eigenvalues
+    return torch.log(factors.abs().clamp_min(1e-300)) / model.base_timestep + 0j
+
+
+def _put_linear_part(model: TorchModel, linear: Tensor) -> None:
+    """Put the columns of R₁ (n, n) in place, those that multiply one entry of z alone."""
+    columns = torch.cat([table.T for table in dynamics_tables(model)]).T
+    for k, factors in enumerate(model.structure.dynamics.factors):
+        if len(factors) == 1 and factors[0] < model.state_dim:
+            columns[:, k] = linear[:, factors[0]]
+    tables = dynamics_tables(model)
+    for table, part in zip(tables, columns.split([table.shape[1] for table in tables], dim=1)):
+        table.copy_(part)
+
+
+def _linear_columns(model: TorchModel) -> list[Tensor]:
     """For each dynamics table, which of its columns multiply z or u alone."""
-    n, m = model.state_dim, model.input_dim
-    linear = (n, m) if isinstance(model, SSMR) else (n + m,)
-    return [torch.arange(table.shape[1], device=table.device) < count
-            for table, count in zip(dynamics_tables(model), linear)]
-
+    tables = dynamics_tables(model)
+    linear = torch.tensor([len(factors) == 1 for factors in model.structure.dynamics.factors], device=tables[0].device)
+    return list(linear.split([table.shape[1] for table in tables]))

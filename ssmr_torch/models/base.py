@@ -13,6 +13,8 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
+from ssmr_torch import data_sheet as sheet
+from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.models.arrays import Array, namespace
 from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
 
@@ -40,7 +42,7 @@ class Rollout(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Model(ABC):
+class Model(DataSheet, ABC):
     """Discrete-time reduced model z⁺ = f(z, u), with chart z = v(window) and parametrization y = w(z).
 
     Arrays and constants, without Torch: this is what an artifact holds and a controller runs. Fields annotated `Array`
@@ -137,6 +139,10 @@ class Model(ABC):
         return (f"{self.state_dim} states from windows of {self.delays + 1} samples of {self.output_dim} outputs, "
                 f"{self.window_timestep:g} s apart")
 
+    def data_sheet(self) -> tuple[str, dict]:
+        return f"{type(self).__name__}: {self.state_dim} states, {self.input_dim} inputs, {self.output_dim} outputs", {
+            "geometry": self.geometry, "step": sheet.period(self.timestep), "stability": sheet.stability(self.rates)}
+
     @cached_property
     def rates(self) -> np.ndarray:
         """Eigenvalues λ of the dynamics linearized at z = 0, u = 0, (n,) 1/s: e^{λ timestep} are those of A."""
@@ -159,6 +165,11 @@ class Model(ABC):
     @abstractmethod
     def linearize(self, z: Array, u: Array) -> Linearization:
         """First-order expansion of `step`, batched over the leading dimensions."""
+
+    def step_jacobians(self, z: Array, u: Array) -> tuple[Array, Array, Array]:
+        """`step`, ∂z⁺/∂z (..., n, n) and ∂z⁺/∂u (..., n, m); a family that has them without `linearize` overrides it."""
+        A, B, _ = self.linearize(z, u)
+        return self.step(z, u), A, B
 
     @abstractmethod
     def linearize_output(self, z: Array) -> OutputLinearization:

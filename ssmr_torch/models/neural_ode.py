@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from ssmr_torch.models.neural import NeuralModel
 from ssmr_torch.models.torch_model import TorchModel
@@ -45,6 +45,19 @@ class NeuralODE(TorchModel):
         self.first_weight = random_table(width, n, spread=1 / math.sqrt(n))
         self.hidden_weight = random_table(depth - 1, width, width, spread=1 / math.sqrt(width))
         self.biases, self.last = random_table(depth, width, spread=0.1), random_table(n * (1 + m), width)
+
+    @torch.no_grad()
+    def scales(self) -> dict[str, Tensor]:
+        """A step of relative size ε in all coefficients of a row moves a coordinate or an output by ε of its largest
+        value; in one coefficient of a rate, by ε of the coordinate's largest value per s, as in the network beside it.
+        """
+        state = self.state_scale.clamp_min(1e-300)
+        output = self.parametrization.abs() @ state
+        output = torch.maximum(output, 1e-3 * output.max()).clamp_min(1e-300)
+        with_constant = torch.cat([state.new_ones(1), state]).repeat_interleave(self.input_dim)
+        return {"chart": state[:, None] / output.repeat(self.delays + 1) / self.window_dim,
+                "parametrization": output[:, None] / state / self.state_dim,
+                "linear": state[:, None] / state, "control": state[:, None] / with_constant}
 
     @property
     def reduced(self) -> NeuralModel:

@@ -133,6 +133,18 @@ class PolynomialModel(Model):
         return constant if not len(self.chart) else np.zeros(self.state_dim, dtype=bool)
 
     @cached_property
+    def rates(self) -> np.ndarray:
+        """Eigenvalues λ of the linear part of the reduced dynamics, in continuous time, (n,) 1/s."""
+        if self.structure.relift:
+            return super().rates
+        values = np.linalg.eigvals(self.numpy().linear_part).astype(complex)
+        if self.flow:
+            return values
+        with np.errstate(divide="ignore"):
+            h = self.base_timestep
+            return np.log(1.0 + h * values if self.structure.scheme == "euler" else values) / h
+
+    @cached_property
     def dynamics_form(self) -> Form:
         """f over (z, u)."""
         return Form(self.structure.dynamics, self.dynamics)
@@ -219,17 +231,26 @@ class PolynomialModel(Model):
         """f(z, u), (..., ·): dz/dt of a flow."""
         return self.dynamics_regressors(z, u) @ self.dynamics.T
 
+    def state_jacobian(self, z: Array, u: Array) -> Array:
+        """∂f/∂z (..., ·, n)."""
+        return self._by_state(*self._multiplied_out(z, u))
+
     def rate_jacobians(self, z: Array, u: Array) -> tuple[Array, Array]:
         """∂f/∂z (..., ·, n) and ∂f/∂u (..., ·, m)."""
-        xp, n, form = namespace(z), self.state_dim, self.dynamics_form
-        if not self.structure.saturated:
-            closure = form.monomials.multiplied_out(xp.concatenate([z, u], -1))
-            return form.jacobian(closure, 0, n), form.jacobian(closure, n, n + self.input_dim)
-        joint, slopes = self.joint(z, u)
-        closure = form.monomials.multiplied_out(joint)
+        n, (closure, slopes) = self.state_dim, self._multiplied_out(z, u)
+        return self._by_state(closure, slopes), self.dynamics_form.jacobian(closure, n, n + self.input_dim)
+
+    def _multiplied_out(self, z: Array, u: Array) -> tuple[Array, Array | None]:
+        """The closure of (s(z), u), and the slopes of s; None where nothing saturates."""
+        joint, slopes = self.joint(z, u) if self.structure.saturated else (namespace(z).concatenate([z, u], -1), None)
+        return self.structure.dynamics.multiplied_out(joint), slopes
+
+    def _by_state(self, closure: Array, slopes: Array | None) -> Array:
+        by_state = self.dynamics_form.jacobian(closure, 0, self.state_dim)
+        if slopes is None:
+            return by_state
         slopes = slopes[..., None, :]
-        by_state = slopes * form.jacobian(closure, 0, n) + (1.0 - slopes) * self.linear_part
-        return by_state, form.jacobian(closure, n, n + self.input_dim)
+        return slopes * by_state + (1.0 - slopes) * self.linear_part
 
     def advance(self, z: Array, u: Array) -> Array:
         """State one base_timestep later, of a map or an Euler step, (..., n)."""

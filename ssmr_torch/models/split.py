@@ -59,7 +59,7 @@ def split(form: Form, state_dim: int, also: Monomials | None = None) -> Split:
     held_at = {place: held for held, place in placed.items()}
     runs_u = [(inputs.position(_without(held_at[place], j)), held_at[place].count(j), j, *run)
               for place, *run in runs.tolist() for j in sorted(set(held_at[place]))]
-    return Split(states, inputs, _trimmed(free, runs), runs, fields, _trimmed(derivative_table(free, states), runs_z),
+    return Split(states, inputs, trimmed(free, runs), runs, fields, trimmed(derivative_table(free, states), runs_z),
                  runs_z, fields_z, np.array(runs_u, dtype=np.int64).reshape(-1, 6), reach(runs))
 
 
@@ -100,7 +100,7 @@ def output_table(form: Form, states: Monomials) -> np.ndarray:
     """A form over z alone as a table over a closure that holds its monomials."""
     table = np.zeros((len(form.table), len(states.closure)))
     table[:, [states.position(row) for row in form.monomials.factors]] = form.table
-    return _trimmed(table)
+    return trimmed(table)
 
 
 def products(monomials: Monomials) -> tuple[np.ndarray, np.ndarray]:
@@ -116,7 +116,7 @@ def products(monomials: Monomials) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([empty, *parents]), np.concatenate([empty, *variables])
 
 
-def _trimmed(table: np.ndarray, runs: np.ndarray | None = None) -> np.ndarray:
+def trimmed(table: np.ndarray, runs: np.ndarray | None = None) -> np.ndarray:
     """Without the columns of zeros at the end that no run needs either; one column stays."""
     used = 1 + int(np.flatnonzero(table.any(0)).max(initial=0))
     return np.ascontiguousarray(table[:, :max(used, 1 if runs is None else reach(runs))])

@@ -1,8 +1,9 @@
-"""Any reduced model as a Torch module: for Lightning, torch.func, torch.compile, torch.export, and a user's own loss."""
+"""Any reduced model as a Torch module: for Lightning, torch.func, torch.compile, torch.export, a user's own loss."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from inspect import signature
 from typing import ClassVar, Self
 
@@ -31,6 +32,8 @@ def table(*shape: int) -> nn.Parameter:
 class TorchModel(nn.Module, ABC):
     """A `Model` on parameters of its own: `reduced` builds it, and all mathematics is its.
 
+    tables: names of the parameters that make, side by side, each table of a polynomial model; empty for other families.
+
     A subclass declares, beside its equation, its parameters, and gives the family's `Model` on them as `reduced`. Its
     constructor's arguments are attributes of the same names, plain values: with the state dict they rebuild the module.
     Sizes, delays and timesteps as in `Model`; window_timestep None: the timestep.
@@ -39,6 +42,8 @@ class TorchModel(nn.Module, ABC):
     """
 
     given: ClassVar[tuple[str, ...]] = ("input_dim", "output_dim", "timestep", "window_timestep")
+
+    tables: ClassVar[dict[str, tuple[str, ...]]] = {}
 
     def __init__(self, state_dim: int, input_dim: int, output_dim: int, delays: int, timestep: float,
                  window_timestep: float | None):
@@ -106,6 +111,12 @@ class TorchModel(nn.Module, ABC):
         """States under inputs (..., H, m) held one timestep each, from z (..., n), and where they diverged."""
         return self.reduced.rollout(z, inputs)
 
+    def scales(self) -> dict[str, Tensor]:
+        """The size of a step for each coefficient, by the parameters' names: an optimizer sees θ / scale. Those that are
+        not named are of order one already.
+        """
+        return {}
+
     def at_timestep(self, timestep: float) -> Self:
         """The same model with `step` covering another time in s; the spacing of the window stays."""
         again = type(self)(**(self.arguments | {"timestep": float(timestep)}))
@@ -121,7 +132,7 @@ class PolynomialTorchModel(TorchModel):
     `substeps` belongs to flows, `base_timestep` to maps and Euler steps.
     """
 
-    tables: ClassVar[dict[str, tuple[str, ...]]] = {
+    tables = {
         "chart": ("chart",), "parametrization": ("parametrization",), "dynamics": ("dynamics",)}
     structure: Structure
     substeps: int = 1
@@ -131,6 +142,25 @@ class PolynomialTorchModel(TorchModel):
     def reduced(self) -> PolynomialModel:
         return PolynomialModel(structure=self.structure, substeps=self.substeps, base_timestep=self.base_timestep,
                                **{name: self._joined(parts) for name, parts in self.tables.items()}, **self.sizes)
+
+    @torch.no_grad()
+    def scales(self) -> dict[str, Tensor]:
+        """s_ij = (size of row i) / (size of monomial j) at the edge of the training data and inputs of one.
+
+        The size of row i is Σ_j |θ_ij| |monomial_j|, at least a thousandth of the largest row's, so a step of relative
+        size ε changes the row by about ε of itself.
+        """
+        edge = self.state_scale
+        values = {"parametrization": self.structure.parametrization(edge),
+                  "dynamics": self.structure.dynamics(torch.cat([edge, edge.new_ones(self.input_dim)]))}
+        found = {}
+        for form, monomials in values.items():
+            parts = [getattr(self, name) for name in self.tables[form]]
+            for name, part, sizes in zip(self.tables[form], parts, monomials.split([len(each.T) for each in parts])):
+                row = (part.abs() * sizes).sum(1, keepdim=True)
+                row = torch.maximum(row, 1e-3 * row.max()).clamp_min(1e-300)
+                found[name] = row / sizes.clamp_min(1e-300)
+        return found
 
     def _joined(self, parts: tuple[str, ...]) -> Tensor:
         found = [getattr(self, part) for part in parts]
@@ -155,8 +185,6 @@ class FixedModel(TorchModel):
 
     @property
     def reduced(self) -> Model:
-        from dataclasses import replace
-
         return replace(self.model, **{name: getattr(self, name) for name in self.model.array_names()})
 
 
