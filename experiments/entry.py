@@ -12,12 +12,10 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.types import RunMode
-from omegaconf import OmegaConf
 
+from ssmr_torch.configuration import register
 from ssmr_torch.extras import remedy
 from ssmr_torch.silence import quiet
-
-OmegaConf.register_new_resolver("upper", str.upper, replace=True)
 
 THEIRS = ("MisconfigurationException",)  # Lightning's word for a trainer that cannot be had
 
@@ -32,8 +30,7 @@ def entry_point(name: str):
     def decorate(function):
         @functools.wraps(function)
         def task(config):
-            if os.getcwd() not in sys.path:
-                sys.path.append(os.getcwd())  # where the classes that a configuration of one's own names may lie
+            look_here()
             quiet()
             keep_memory()
             directory = Path(HydraConfig.get().runtime.output_dir)
@@ -48,9 +45,17 @@ def entry_point(name: str):
                 what = missing or (str(cause) if expected else f"{type(cause).__name__}: {cause}")
                 return refuse(f"{name}: {what}", directory, error, expected)
 
+        look_here()
+        register()
         return hydra.main(version_base="1.3", config_path=CONF, config_name=name)(task)
 
     return decorate
+
+
+def look_here() -> None:
+    """Find classes in the working directory, where those that a configuration of one's own names may lie."""
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
 
 
 def refuse(message: str, directory: Path, error: Exception, expected: bool) -> float:

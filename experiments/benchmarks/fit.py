@@ -11,28 +11,24 @@ import os
 import platform
 import warnings
 from functools import partial
-from pathlib import Path
 from statistics import median
 from time import perf_counter
 
 import lightning
 import torch
-from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
 
+from ssmr_torch import configuration
 from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.evaluation.open_loop import score_open_loop
 from ssmr_torch.fitting.training import least_squares
 from ssmr_torch.models.ssmr import SSMR
 
 REPEATS = 5
-RIDGES = (0.0, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
 
 
 def timed_fit(dataset) -> tuple[float, SSMR]:
-    model = SSMR(6, dataset.input_dim, dataset.output_dim, 1, parametrization_degree=3, dynamics_degree=3, substeps=2,
-                 timestep=dataset.timestep)
-    fit = least_squares(model, ridge=RIDGES)
+    model = SSMR(6, dataset.input_dim, dataset.output_dim, timestep=dataset.timestep)
+    fit = least_squares(model)
     module = TrajectoryDataModule(dataset, validation_share=0.0).prepare(fit)
     trainer = lightning.Trainer(accelerator="cpu", devices=1, max_epochs=fit.epochs, logger=False,
                                 enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
@@ -46,13 +42,11 @@ def main() -> None:
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     warnings.filterwarnings("ignore")
     torch.set_num_threads(1)
-    conf = Path(__file__).resolve().parents[2] / "conf"
-    with initialize_config_dir(str(conf), version_base="1.3"):
-        config = compose("collect", ["excitation.progress=false"])
-    dataset = instantiate(config.excitation)(instantiate(config.plant))
+    config = configuration.composed("collect", ["excitation.progress=false"])
+    dataset = configuration.built(config.excitation)(configuration.built(config.plant))
     transitions = sum(t.length for t in dataset.select(kind="controlled"))
     fits = [timed_fit(dataset) for _ in range(REPEATS)]
-    score = partial(score_open_loop, fits[-1][1].tables(), dataset.select("test", "controlled"), horizons=(1.0,),
+    score = partial(score_open_loop, fits[-1][1].reduced.numpy(), dataset.select("test", "controlled"), horizons=(1.0,),
                     starts=500)
     evaluations = []
     for _ in range(REPEATS):
