@@ -124,6 +124,11 @@ class Model(DataSheet, ABC):
         return False
 
     @property
+    def flow(self) -> bool:
+        """Whether the dynamics are in continuous time: a step may then cover any time."""
+        return False
+
+    @property
     def takes_past_inputs(self) -> bool:
         """Whether the chart looks at the inputs held within the window."""
         return True

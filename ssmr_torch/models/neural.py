@@ -40,6 +40,10 @@ class NeuralModel(Model):
         return "neural ODE"
 
     @property
+    def flow(self) -> bool:
+        return True
+
+    @property
     def takes_past_inputs(self) -> bool:
         return False
 

@@ -88,7 +88,6 @@ class PolynomialModel(Model):
 
     @property
     def flow(self) -> bool:
-        """Whether the dynamics are in continuous time."""
         return self.structure.scheme == "runge_kutta"
 
     @property

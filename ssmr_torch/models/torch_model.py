@@ -187,6 +187,9 @@ class FixedModel(TorchModel):
     def reduced(self) -> Model:
         return replace(self.model, **{name: getattr(self, name) for name in self.model.array_names()})
 
+    def at_timestep(self, timestep: float) -> Self:
+        return type(self)(self.reduced.numpy().at_timestep(timestep))
+
 
 def check_degrees(**degrees: int) -> None:
     """Raises ValueError for a degree that is no whole number, or below 1."""

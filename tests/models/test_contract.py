@@ -7,17 +7,19 @@ import pytest
 import torch
 
 from ssmr_torch import artifact
-from ssmr_torch.models.base import DIVERGENCE_FACTOR, ContinuousTimeModel
+from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.models.neural_ode import NeuralODE
 from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.models.torch_model import FixedModel
 from ssmr_torch.models.tpwl import TPWL
 
 
 def random_ssmr(**options):
     """A stable polynomial model with an orthogonal chart, small nonlinearities, and a known training range."""
-    model = SSMR(6, 4, 3, timestep=0.02, window_timestep=0.01, substeps=2, **options)
+    degrees = {"parametrization_degree": 1, "dynamics_degree": 1} | options
+    model = SSMR(6, 4, 3, timestep=0.02, window_timestep=0.01, substeps=2, **degrees)
     generator = torch.Generator().manual_seed(1)
     with torch.no_grad():
         for table in model.parameters():
@@ -35,6 +37,7 @@ def random_ssmr(**options):
 
 def random_control_augmented(**options):
     """A stable joint map of state and input, with small nonlinearities and a chart that sees the inputs."""
+    options = {"input_degree": None, "saturated": False} | options
     model = ControlAugmentedSSMR(6, 4, 3, base_timestep=0.01, timestep=0.02, window_timestep=0.01, **options)
     generator = torch.Generator().manual_seed(1)
     with torch.no_grad():
@@ -158,8 +161,8 @@ def test_the_linearization_equals_central_differences(model, batch):
 def windows_on_the_manifold(model, z):
     """Windows, and the inputs held between their samples, that the model can represent exactly."""
     inputs = torch.rand(len(z), model.delays, model.input_dim, dtype=torch.float64)
-    if hasattr(model, "decode_window"):
-        return model.decode_window(z), inputs
+    if isinstance(model, SSMR):
+        return model.reduced.decode_window(z), inputs
     if isinstance(model, TPWL):  # what its filter expects: the model's own motion from the mean of its states
         expected = model.at_timestep(model.window_timestep).rollout(model.mean.expand(len(z), -1), inputs).states
         return model.decode(expected), inputs
@@ -177,7 +180,7 @@ def test_decoding_inverts_encoding_on_the_manifold(model, batch):
     z = model.encode(window, inputs)
     assert z.shape == batch[0].shape
     torch.testing.assert_close(model.decode(z), window[:, -1], rtol=1e-12, atol=1e-12)
-    if hasattr(model, "decode_window") or isinstance(model, ControlAugmentedSSMR):
+    if isinstance(model, (SSMR, ControlAugmentedSSMR)):
         torch.testing.assert_close(z, batch[0], rtol=1e-12, atol=1e-12)
 
 
@@ -212,7 +215,7 @@ def test_the_state_dict_and_the_arguments_rebuild_the_model(model, batch):
 
 
 def predictions(model, z, u, window, inputs):
-    """What a Torch model and its NumPy twin must agree on."""
+    """What the same model with arrays of Torch and of NumPy must agree on."""
     return [model.encode(window, inputs), model.decode(z), model.step(z, u), *model.linearize(z, u),
             *model.linearize_output(z)]
 
@@ -221,19 +224,19 @@ def test_the_exported_model_predicts_what_the_torch_model_predicts(model, batch,
     z, u = batch
     window, inputs = windows_on_the_manifold(model, z)
     outputs, inputs_ = ([str(j) for j in range(size)] for size in (model.output_dim, model.input_dim))
-    artifact.save(tmp_path / "model", model.tables(), output_names=outputs, input_names=inputs_,
+    artifact.save(tmp_path / "model", model.reduced.numpy(), output_names=outputs, input_names=inputs_,
                   rest=[0.0] * model.output_dim, input_range=[[0.0] * model.input_dim, [1.0] * model.input_dim])
     tables = artifact.load(tmp_path / "model").model
     arrays = predictions(tables, *(tensor.detach().numpy() for tensor in (z, u, window, inputs)))
     for array, tensor in zip(arrays, predictions(model, z, u, window, inputs)):
         np.testing.assert_allclose(array, tensor.detach().numpy(), rtol=1e-12, atol=1e-13)
-    again = type(model).from_tables(tables)
+    again = FixedModel(tables)
     torch.testing.assert_close(again.step(z, u), model.step(z, u), rtol=1e-12, atol=1e-13)
 
 
 def test_another_timestep_is_the_same_flow(model, batch):
     z, u = batch
-    if isinstance(model, ContinuousTimeModel):
+    if model.reduced.flow:
         halves = model.at_timestep(model.timestep / 2)
         torch.testing.assert_close(halves.step(halves.step(z, u), u), model.step(z, u), rtol=1e-3, atol=1e-6)
         assert halves.window_timestep == model.window_timestep

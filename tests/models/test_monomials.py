@@ -3,47 +3,71 @@ import pytest
 import torch
 from sklearn.preprocessing import PolynomialFeatures
 
-from ssmr_torch.models.monomial_features import MonomialFeatures
-from ssmr_torch.models.monomials import Monomials, count_monomials
+from ssmr_torch.models.monomials import Form, Monomials, count_monomials, graded
 
 
 @pytest.mark.parametrize(("variables", "degree"), [(1, 5), (3, 4), (6, 3), (12, 2)])
 def test_monomials_come_in_the_order_of_scikit_learn(variables, degree):
     z = np.random.default_rng(0).normal(size=(20, variables))
     expected = PolynomialFeatures(degree, include_bias=False).fit_transform(z)
-    np.testing.assert_allclose(Monomials(variables, 1, degree)(z), expected, rtol=1e-13)
-    features = MonomialFeatures(Monomials(variables, 1, degree))
-    np.testing.assert_allclose(features(torch.from_numpy(z)).numpy(), expected, rtol=1e-13)
-    assert len(features) == count_monomials(variables, 1, degree) == expected.shape[1]
+    np.testing.assert_allclose(graded(variables, 1, degree)(z), expected, rtol=1e-13)
+    np.testing.assert_allclose(graded(variables, 1, degree)(torch.from_numpy(z)).numpy(), expected, rtol=1e-13)
+    assert len(graded(variables, 1, degree)) == count_monomials(variables, 1, degree) == expected.shape[1]
 
 
 def test_a_range_of_degrees_is_the_tail_of_all_degrees():
     z = np.random.default_rng(0).normal(size=(4, 3))
-    np.testing.assert_array_equal(Monomials(3, 2, 3)(z), Monomials(3, 1, 3)(z)[:, 3:])
+    np.testing.assert_array_equal(graded(3, 2, 3)(z), graded(3, 1, 3)(z)[:, 3:])
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
 def test_the_jacobian_of_the_monomials_equals_automatic_differentiation(degree):
-    features = MonomialFeatures(Monomials(4, 1, degree))
+    features = graded(4, 1, degree)
     z = torch.randn(5, 4, dtype=torch.float64)
     expected = torch.func.vmap(torch.func.jacrev(features))(z)
     torch.testing.assert_close(features.jacobian(z), expected, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(Monomials(4, 1, degree).jacobian(z.numpy()), expected.numpy(), rtol=1e-12)
+    np.testing.assert_allclose(graded(4, 1, degree).jacobian(z.numpy()), expected.numpy(), rtol=1e-12)
 
 
-def test_selected_monomials_are_those_rows_of_values_and_jacobian():
-    whole = Monomials(5, 1, 3)
-    rows = whole.exponents[:, 3:].sum(1) <= 1
-    part, z = whole.selected(rows), np.random.default_rng(0).normal(size=(4, 5))
+def test_any_set_of_monomials_in_any_order_is_served_and_its_factors_may_come_in_any_order():
+    whole, z = graded(5, 0, 3), np.random.default_rng(0).normal(size=(4, 5))
+    rows = np.random.default_rng(1).permutation(len(whole))[:20]
+    part = Monomials(5, [whole.factors[row][::-1] for row in rows])
     np.testing.assert_array_equal(part(z), whole(z)[:, rows])
     np.testing.assert_array_equal(part.jacobian(z), whole.jacobian(z)[:, rows])
-    fewer = whole.exponents[:, 0] == 0
-    np.testing.assert_array_equal(part.selected(fewer[rows])(z), whole(z)[:, rows & fewer])
-    features = MonomialFeatures(part)
-    np.testing.assert_allclose(features(torch.from_numpy(z)).numpy(), part(z), rtol=1e-13)
-    np.testing.assert_allclose(features.jacobian(torch.from_numpy(z)).numpy(), part.jacobian(z), rtol=1e-13)
+    np.testing.assert_array_equal(part(torch.from_numpy(z)).numpy(), part(z))
+    np.testing.assert_array_equal(part.jacobian(torch.from_numpy(z)).numpy(), part.jacobian(z))
+
+
+def test_the_closure_holds_all_divisors_and_nothing_else():
+    found = Monomials(3, [(0, 0, 2)])
+    assert found.closure == [(), (0,), (1,), (2,), (0, 0), (0, 2), (0, 0, 2)]
+    assert Monomials(2, [()]).closure == [(), (0,), (1,)]
+
+
+@pytest.mark.parametrize("kind", [np.asarray, torch.from_numpy])
+def test_a_form_and_its_jacobian_in_some_of_the_variables_are_those_of_the_polynomial(kind):
+    """f(x) = [3 x0² x2 − x1, 2 + x2³]."""
+    monomials = Monomials(3, [(2, 0, 0), (1,), (), (2, 2, 2)])
+    form = Form(monomials, kind(np.array([[3.0, -1.0, 0.0, 0.0], [0.0, 0.0, 2.0, 1.0]])))
+    x = np.random.default_rng(0).normal(size=(7, 3))
+    np.testing.assert_allclose(form(kind(x)), np.stack([3 * x[:, 0]**2 * x[:, 2] - x[:, 1], 2 + x[:, 2]**3], 1),
+                               rtol=1e-14)
+    expected = np.zeros((7, 2, 3))
+    expected[:, 0] = np.stack([6 * x[:, 0] * x[:, 2], -np.ones(7), 3 * x[:, 0]**2], 1)
+    expected[:, 1, 2] = 3 * x[:, 2]**2
+    closure = monomials.multiplied_out(kind(x))
+    for first, last in ((0, 3), (0, 1), (1, 3)):
+        np.testing.assert_allclose(form.jacobian(closure, first, last), expected[..., first:last], rtol=1e-13)
+
+
+@pytest.mark.parametrize(("factors", "message"), [([(0, 3)], "factors from 0 to 2"), ([(-1,)], "factors from 0 to 2"),
+                                                  ([(0, 1), (1, 0)], "is given twice")])
+def test_monomials_of_variables_that_are_not_there_or_given_twice_are_refused(factors, message):
+    with pytest.raises(ValueError, match=message):
+        Monomials(3, factors)
 
 
 def test_monomials_of_no_variables_are_refused():
     with pytest.raises(ValueError, match="at least 1 variable"):
-        Monomials(0, 1, 2)
+        graded(0, 1, 2)

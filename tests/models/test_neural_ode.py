@@ -8,7 +8,7 @@ from ssmr_torch.models.neural_ode import NeuralODE
 
 def network(**options):
     torch.manual_seed(3)
-    model = NeuralODE(4, 2, 2, 1, **{"timestep": 0.01, "width": 16} | options)
+    model = NeuralODE(4, 2, 2, 1, **{"timestep": 0.01, "width": 16, "depth": 2} | options)
     with torch.no_grad():
         for table in (model.last, model.linear, model.control):
             table.copy_(0.5 * torch.randn(table.shape, dtype=torch.float64))
@@ -20,7 +20,7 @@ def network(**options):
 def test_the_field_is_affine_in_the_input():
     model = network()
     z, u, v = 0.1 * torch.randn(5, 4).double(), torch.randn(5, 2).double(), torch.randn(5, 2).double()
-    torch.testing.assert_close(model.rate(z, u + v) - model.rate(z, u), model.rate(z, v) - model.rate(z, 0 * v))
+    torch.testing.assert_close(model.reduced.rate(z, u + v) - model.reduced.rate(z, u), model.reduced.rate(z, v) - model.reduced.rate(z, 0 * v))
 
 
 def test_with_its_last_layer_zero_it_is_its_linear_and_bilinear_part():
@@ -30,7 +30,7 @@ def test_with_its_last_layer_zero_it_is_its_linear_and_bilinear_part():
     z, u = 0.1 * torch.randn(5, 4).double(), torch.randn(5, 2).double()
     table = model.control.unflatten(1, (5, 2))
     expected = z @ model.linear.T + u @ table[:, 0].T + torch.einsum("bq,nqm,bm->bn", z, table[:, 1:], u)
-    torch.testing.assert_close(model.rate(z, u), expected)
+    torch.testing.assert_close(model.reduced.rate(z, u), expected)
 
 
 def test_adaptive_steps_give_what_one_step_of_order_four_gives():
@@ -38,14 +38,14 @@ def test_adaptive_steps_give_what_one_step_of_order_four_gives():
     model = network()
     z, u = 0.1 * torch.randn(20, 4).double(), torch.rand(20, 2).double()
     with torch.no_grad():
-        exact = torchdiffeq.odeint(lambda t, x: model.rate(x, u), z, torch.tensor([0.0, 0.01]).double(), rtol=1e-10,
+        exact = torchdiffeq.odeint(lambda t, x: model.reduced.rate(x, u), z, torch.tensor([0.0, 0.01]).double(), rtol=1e-10,
                                    atol=1e-12)[-1]
         assert float((model.step(z, u) - exact).norm() / (exact - z).norm()) < 1e-4
         assert float((model.step(z, u) - exact).norm() / exact.norm()) < 1e-5
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"width": 0}, "width 0 and depth 2"), ({"depth": 0}, "depth 0"),
+    ({"width": 0}, "width 0, depth 1"), ({"depth": 0}, "depth 0"),
     ({"delays": 0}, "holds 2 values, fewer than the 4")])
 def test_impossible_sizes_are_refused(options, message):
     with pytest.raises(ValueError, match=message):

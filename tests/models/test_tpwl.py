@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from ssmr_torch.models.tpwl import TPWL
+from ssmr_torch.models.torch_model import FixedModel
 
 
 @pytest.fixture
@@ -48,22 +49,22 @@ def test_the_nearest_point_acts_whatever_the_velocities(model):
     u = torch.rand(2, 2, dtype=torch.float64)
     for row, nearest in enumerate((1, 2)):
         expected = model.A[nearest] @ z[row] + model.B[nearest] @ u[row] + model.c[nearest]
-        torch.testing.assert_close(model.advance(z, u)[row], expected)
+        torch.testing.assert_close(model.reduced.advance(z, u)[row], expected)
 
 
 def test_a_narrow_blend_is_the_nearest_point_and_a_wide_one_the_mean_of_all(model):
     z, u = torch.tensor([1.3, 0.2, 0.1, -0.4], dtype=torch.float64), torch.rand(2, dtype=torch.float64)
     model.width = 1e-2
-    torch.testing.assert_close(model.advance(z, u), model.A[1] @ z + model.B[1] @ u + model.c[1])
+    torch.testing.assert_close(model.reduced.advance(z, u), model.A[1] @ z + model.B[1] @ u + model.c[1])
     model.width = 1e6
-    torch.testing.assert_close(model.advance(z, u), model.A.mean(0) @ z + model.B.mean(0) @ u + model.c.mean(0))
+    torch.testing.assert_close(model.reduced.advance(z, u), model.A.mean(0) @ z + model.B.mean(0) @ u + model.c.mean(0))
 
 
 def test_between_two_points_both_act_alike(model):
     z, u = torch.tensor([1.5, 0.0, 0.1, -0.4], dtype=torch.float64), torch.rand(2, dtype=torch.float64)
     model.width = 0.2
     both = [model.A[i] @ z + model.B[i] @ u + model.c[i] for i in (1, 2)]
-    torch.testing.assert_close(model.advance(z, u), (both[0] + both[1]) / 2, rtol=1e-9, atol=0)
+    torch.testing.assert_close(model.reduced.advance(z, u), (both[0] + both[1]) / 2, rtol=1e-9, atol=0)
 
 
 @pytest.mark.parametrize("width", [0.05, 0.5, 50.0])
@@ -76,18 +77,19 @@ def test_tables_that_pass_over_far_points_blend_as_the_model_that_sums_all(width
             table.copy_(torch.randn(table.shape, generator=generator, dtype=torch.float64))
     z = torch.randn(*shape, 4, generator=generator, dtype=torch.float64)
     u = torch.randn(*shape, 2, generator=generator, dtype=torch.float64)
-    for ours, whole in zip(found.tables().advance_linearization(z.numpy(), u.numpy()),
-                           found.advance_linearization(z, u)):
+    for ours, whole in zip(found.reduced.numpy().advance_linearization(z.numpy(), u.numpy()),
+                           found.reduced.advance_linearization(z, u)):
         np.testing.assert_allclose(ours, whole.detach(), rtol=1e-10, atol=1e-12 / width ** 2)
-    np.testing.assert_allclose(found.tables().advance(z.numpy(), u.numpy()), found.advance(z, u).detach(), atol=1e-13)
+    np.testing.assert_allclose(found.reduced.numpy().advance(z.numpy(), u.numpy()),
+                               found.reduced.advance(z, u).detach(), atol=1e-13)
 
 
 def test_with_one_point_the_chart_is_the_kalman_filter_of_the_textbook(model):
-    linear = TPWL.from_tables(dataclasses.replace(model.tables(), points=np.zeros((1, 2)), **{
-        name: getattr(model.tables(), name)[:1] for name in ("A", "B", "c")}))
+    linear = FixedModel(dataclasses.replace(model.reduced.numpy(), points=np.zeros((1, 2)), **{
+        name: getattr(model.reduced.numpy(), name)[:1] for name in ("A", "B", "c")}))
     window, inputs = windows(linear)
     encoded = linear.encode(window, inputs).detach().numpy()
-    t = linear.tables()
+    t = linear.reduced.numpy()
     for row, found in enumerate(encoded):
         expected = textbook_filter(t.A[0], t.B[0], t.c[0], t.C, t.d, t.mean, t.covariance, t.process, t.measurement,
                                    window[row].numpy(), inputs[row].numpy())
@@ -98,12 +100,12 @@ def test_with_one_point_the_chart_is_the_kalman_filter_of_the_textbook(model):
 def test_the_filter_is_the_same_in_numpy_on_windows_that_surprise_it(model, width):
     model.width = width
     window, inputs = windows(model)
-    np.testing.assert_allclose(model.tables().encode(window.numpy(), inputs.numpy()),
+    np.testing.assert_allclose(model.reduced.numpy().encode(window.numpy(), inputs.numpy()),
                                model.encode(window, inputs).detach().numpy(), rtol=1e-11, atol=1e-12)
 
 
 def test_a_window_at_twice_the_spacing_takes_two_steps_between_its_samples(model):
-    coarse = TPWL.from_tables(dataclasses.replace(model.tables(), window_timestep=0.02, delays=1))
+    coarse = FixedModel(dataclasses.replace(model.reduced.numpy(), window_timestep=0.02, delays=1))
     inputs = torch.rand(1, 1, 2, dtype=torch.float64)
     expected = coarse.at_timestep(0.02).rollout(coarse.mean[None], inputs).states
     torch.testing.assert_close(coarse.encode(coarse.decode(expected), inputs), expected[:, -1])
@@ -128,7 +130,7 @@ def test_more_points_and_modes_fit_into_the_same_model_and_its_file(model):
 
 @pytest.mark.parametrize(("change", "message"), [
     ({"modes": 0}, "0 modes, 1 points"), ({"points": 0}, "0 points"), ({"width": -1.0}, "width of -1.0 m"),
-    ({"window_timestep": 0.015}, "1.5 steps")])
+    ({"window_timestep": 0.015}, "1.5 times")])
 def test_impossible_sizes_are_refused_with_the_numbers(change, message):
     with pytest.raises(ValueError, match=message):
         TPWL(4, 3, **change)
