@@ -23,22 +23,21 @@ from inspect import unwrap
 from pathlib import Path
 
 import h5py
-from hydra import compose, initialize_config_dir
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import OmegaConf, open_dict, read_write
 from tqdm import tqdm
 
 from ssmr_torch import artifact
-from ssmr_torch.experiments.entry import CONF, entry_point, save_json
+from ssmr_torch.configuration import composed, folder
+from ssmr_torch.experiments.entry import entry_point, save_json
 from ssmr_torch.provenance import provenance
+from ssmr_torch.reproduction.configured import configuration
 from ssmr_torch.reproduction.gather import MODEL_COLUMNS, RUN_COLUMNS, model_row, note_of, run_row
 from ssmr_torch.reproduction.open_loop import map_open_loop
-from ssmr_torch.reproduction.plan import STAGES, Job, Step, chosen, keys, plan, quoted, slower_runs, with_recordings
+from ssmr_torch.reproduction.plan import STAGES, Job, chosen, keys, plan, quoted, slower_runs, with_recordings
 
 SINGLE = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-TEXTS: dict[str, str] = {}  # of configuration files; no functools.cache, which a launcher could not pickle
 PARTIAL = "with what there was"  # in place of the hash of a job that some of its needs were missing for
 
 
@@ -103,7 +102,7 @@ def run_all(config, directory: Path, settings: dict, stages: dict[str, list[Job]
                 slower = again(directory, settings, planned)
                 jobs, bar.total = [*slower, *jobs], bar.total + len(slower)
             planned += jobs
-            hashes = keys(planned, written)
+            hashes = keys(planned, configuration)
             done = {job.name for job in planned if is_done(directory, job, hashes[job.name])}
             ready = [job for job in jobs if job.name not in done
                      and (done.issuperset(job.needs) or job.steps[0].entry == "evaluate")]
@@ -161,25 +160,9 @@ def end(process: subprocess.Popen) -> None:
 
 def again(directory: Path, settings: dict, planned: list[Job]) -> list[Job]:
     """The closed loops that are to be run once more at a longer period."""
-    hashes = keys(planned, written)
+    hashes = keys(planned, configuration)
     runs = [job for job in planned if "period" in job.about and is_done(directory, job, hashes[job.name])]
     return slower_runs(settings, runs, {job.name: read(directory / job.product)["solve_time_p99"] for job in runs})
-
-
-def written(step: Step) -> str:
-    """What the configuration files hold that a step names, and the settings that were tuned for its model."""
-    named = [override.split("=", 1) for override in step.overrides]
-    tuned = "/".join(dict(named).get(group, "-") for group in ("experiment", "model"))
-    choices = [f"{group.split('@')[0]}/{choice}.yaml" for group, choice in named]
-    return "".join(map(text_of, [f"{step.entry}.yaml", f"tuned/{tuned}.yaml", *choices]))
-
-
-def text_of(file: str) -> str:
-    """A configuration file as it was when this command first looked; empty where there is none."""
-    if file not in TEXTS:
-        path = Path(CONF) / file
-        TEXTS[file] = path.read_text() if path.is_file() else ""
-    return TEXTS[file]
 
 
 def is_done(directory: Path, job: Job, key: str) -> bool:
@@ -241,13 +224,7 @@ def follow(step: dict, job: dict, root: Path, directory: Path) -> None:
 @contextmanager
 def configured(entry: str, overrides: list[str], directory: Path):
     """The configuration of an entry point as Hydra would start it with these overrides in this directory."""
-    before, hydra = HydraConfig.instance().cfg, GlobalHydra.instance().hydra
-    GlobalHydra.instance().clear()
-    try:
-        with initialize_config_dir(CONF, version_base="1.3"):
-            config = compose(entry, overrides, return_hydra_config=True)
-    finally:
-        GlobalHydra.instance().hydra = hydra
+    before, config = HydraConfig.instance().cfg, composed(entry, overrides, hydra=True)
     with read_write(config.hydra), open_dict(config.hydra):
         config.hydra.runtime.output_dir = str(directory)
     HydraConfig.instance().set_config(config)
@@ -285,13 +262,14 @@ def tables(directory: Path, settings: dict) -> None:
     """runs.csv and models.csv of all that is done, of whatever figure."""
     planned = [job for jobs in plan(settings).values() for job in jobs]
     planned += again(directory, settings, planned)
-    hashes = keys(planned, written)
+    hashes = keys(planned, configuration)
     done = [job for job in planned if is_done(directory, job, hashes[job.name])]
     runs = [run_row(job.about, read(directory / job.product), f"{job.name}/record.h5") for job in done
             if "period" in job.about]
     models = []
     for job in [job for job in done if "model" in job.about]:
-        note = note_of(text_of(f"tuned/{job.about['experiment']}/{job.about['model']}.yaml"))
+        tuned = Path(folder(), "tuned", job.about["experiment"], f"{job.about['model']}.yaml")
+        note = note_of(tuned.read_text() if tuned.is_file() else "")
         if own := settings["robots"][job.about["robot"]].get("train", {}).get(job.about["method"]):
             note = " ".join([f"Set by the preset: {' '.join(own)}.", *([f"The rest: {note}"] if note else [])])
         models.append(model_row(job.about, read(directory / job.name / "report.json")["cost"],

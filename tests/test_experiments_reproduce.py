@@ -12,10 +12,10 @@ from pathlib import Path
 
 import h5py
 import pytest
-from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from ssmr_torch.closed_loop import ClosedLoopRecord
+from ssmr_torch.configuration import composed
 from ssmr_torch.reproduction.plan import plan, with_recordings
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -48,11 +48,6 @@ def whole(tmp_path_factory):
     directory = tmp_path_factory.mktemp("whole")
     reproduce(directory)
     return directory
-
-
-@pytest.fixture(autouse=True)
-def configurations():
-    OmegaConf.register_new_resolver("upper", str.upper, replace=True)
 
 
 @pytest.mark.slow
@@ -152,8 +147,7 @@ def test_bad_input_ends_in_one_clear_message_before_any_work(tmp_path, arguments
 
 @pytest.mark.parametrize("launcher", sorted(path.stem for path in (CONF / "launcher").glob("*.yaml")))
 def test_every_launcher_names_a_plugin_and_how_to_get_it(launcher):
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        config = compose("reproduce", [f"launcher={launcher}", "workers=3"])
+    config = composed("reproduce", [f"launcher={launcher}", "workers=3"])
     chosen = OmegaConf.to_container(config.launcher, resolve=True)
     assert set(chosen) == {"plugin", "module", "install", "settings"}
     assert launcher in chosen["plugin"] and (3 in chosen["settings"].values()) == (launcher != "basic")
@@ -162,16 +156,14 @@ def test_every_launcher_names_a_plugin_and_how_to_get_it(launcher):
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_job_of_every_preset_composes(preset, tmp_path):
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        settings = OmegaConf.to_container(compose("reproduce", [f"preset={preset}"]).preset, resolve=True)
-        assert settings["name"] == preset
-        for jobs in plan(with_recordings(settings, str(tmp_path))).values():
-            for step in (step for job in jobs if job.about.get("seed", 0) == 0 for step in job.steps):
-                compose(step.entry, list(step.overrides))
+    settings = OmegaConf.to_container(composed("reproduce", [f"preset={preset}"]).preset, resolve=True)
+    assert settings["name"] == preset
+    for jobs in plan(with_recordings(settings, str(tmp_path))).values():
+        for step in (step for job in jobs if job.about.get("seed", 0) == 0 for step in job.steps):
+            composed(step.entry, step.overrides)
 
 
 def test_the_quick_preset_makes_every_figure_of_the_paper():
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        for preset in ("quick", "paper"):
-            figures = compose("reproduce", [f"preset={preset}"]).preset.figures
-            assert list(figures) == ["table1", *(f"fig{number}" for number in range(3, 13))]
+    for preset in ("quick", "paper"):
+        figures = composed("reproduce", [f"preset={preset}"]).preset.figures
+        assert list(figures) == ["table1", *(f"fig{number}" for number in range(3, 13))]

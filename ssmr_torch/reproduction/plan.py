@@ -200,18 +200,20 @@ def delay_job(settings: Mapping, figure: Mapping) -> Job:
                {"robot": robot})
 
 
-def keys(jobs: Sequence[Job], written: Callable[[Step], str] = lambda step: "") -> dict[str, str]:
-    """A hash by job of its steps and of the hashes of what it needs: it changes where anything before it does.
+def keys(jobs: Sequence[Job], configuration: Callable[[str, Sequence[str]], str]) -> dict[str, str]:
+    """A hash by job of the configurations and files of its steps, and of the hashes of what it needs: it changes where
+    anything does that its result depends on.
 
-    written: further text that a step depends on, of its configuration files. Raises ValueError for a job that needs one
-    which is not before it.
+    configuration: a text by entry and overrides of a step. Raises ValueError for a job that needs one which is not
+    before it.
     """
     found: dict[str, str] = {}
     for job in jobs:
         missing = [need for need in job.needs if need not in found]
         if missing:
             raise ValueError(f"{job.name} needs {missing[0]}, which is not planned before it")
-        steps = [[step.entry, step.overrides, sorted(step.files.items()), written(step)] for step in job.steps]
+        steps = [[step.entry, configuration(step.entry, step.overrides), sorted(step.files.items())]
+                 for step in job.steps]
         text = json.dumps([steps, [found[need] for need in job.needs]])
         found[job.name] = hashlib.sha256(text.encode()).hexdigest()[:16]
     return found

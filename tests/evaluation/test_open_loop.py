@@ -32,7 +32,7 @@ def line(samples, velocity=(0.3, -0.4), start=(0.0, 0.0)):
 
 def scalar_model(rate=0.0, gain=0.0, delays=0, timestep=DT, **options):
     """dz/dt = rate z + gain u, y = z, in one dimension, with the newest sample as chart."""
-    model = SSMR(1, 1, 1, delays, control_degree=0, timestep=timestep, **options)
+    model = SSMR(1, 1, 1, delays, control_degree=0, timestep=timestep, substeps=1, **options)
     with torch.no_grad():
         model.chart[0, -1] = 1.0
         model.parametrization[-1, 0] = 1.0
@@ -108,7 +108,7 @@ def test_the_torch_model_and_its_tables_get_the_same_score():
         for table in model.parameters():
             table.copy_(torch.from_numpy(0.1 * rng.normal(size=table.shape)))
     data = [run(0.1 * rng.normal(size=(180, 2)), rng.normal(size=(180, 2)))]
-    one, other = score_open_loop(model, data), score_open_loop(model.tables(), data)
+    one, other = score_open_loop(model, data), score_open_loop(model.reduced.numpy(), data)
     for left, right in zip(one.horizons, other.horizons):
         np.testing.assert_allclose(left.errors, right.errors, rtol=1e-10)
 
@@ -116,7 +116,7 @@ def test_the_torch_model_and_its_tables_get_the_same_score():
 @pytest.mark.parametrize("as_tables", [False, True])
 def test_a_diverging_model_has_diverged_everywhere_and_its_mean_is_infinite(as_tables):
     model = scalar_model(rate=200.0)
-    score = score_open_loop(model.tables() if as_tables else model, [exponential(300)], horizons=(1.0,))
+    score = score_open_loop(model.reduced.numpy() if as_tables else model, [exponential(300)], horizons=(1.0,))
     for part in score.horizons:
         assert part.diverged == 1.0
         assert part.mean == part.median == part.p95 == part.mean_of_survivors == np.inf
@@ -128,7 +128,7 @@ def test_a_diverging_model_has_diverged_everywhere_and_its_mean_is_infinite(as_t
 def test_a_rollout_that_the_model_itself_flags_has_diverged_although_its_prediction_is_close(as_tables):
     model = scalar_model()
     model.state_scale.fill_(1e-3)
-    model = model.tables() if as_tables else model
+    model = model.reduced.numpy() if as_tables else model
     score = score_open_loop(model, [run(np.ones(150))], horizons=(0.05,))
     assert score["50 ms"].diverged == 1.0
     time, outputs = predict_trajectory(model, run(np.ones(150)))

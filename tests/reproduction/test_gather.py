@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ssmr_torch.data.excitation import SmoothRandom
+from ssmr_torch.evaluation.predictors import Predictor
 from ssmr_torch.reproduction.gather import MODEL_COLUMNS, RUN_COLUMNS, model_row, note_of, run_row
 from ssmr_torch.reproduction.open_loop import map_open_loop
 from ssmr_torch.trajectory import Trajectory
@@ -44,23 +45,9 @@ def test_the_note_of_a_tuned_file_is_its_comment_without_the_package_line():
     assert note_of("model: {}\n") == ""
 
 
-class Mean:
+def constant(value: float) -> Predictor:
     """Predicts the constant `value`, m."""
-
-    delays, timestep, window_timestep, output_dim, input_dim = 1, 0.01, 0.01, 2, 1
-    state_scale = np.ones(2)
-
-    def __init__(self, value: float):
-        self.value = value
-
-    def encode(self, window, inputs):
-        return np.full((len(window), 2), self.value)
-
-    def rollout(self, z, inputs):
-        return np.repeat(z[:, None], inputs.shape[1] + 1, axis=1)
-
-    def decode(self, z):
-        return z
+    return Predictor(lambda window, window_inputs, inputs: np.full((*inputs.shape[:2], 2), value), 1, 0.01, 0.01, 2, 1)
 
 
 def test_each_error_of_the_map_belongs_to_the_position_where_its_rollout_started():
@@ -68,7 +55,7 @@ def test_each_error_of_the_map_belongs_to_the_position_where_its_rollout_started
     time = 0.01 * np.arange(300)
     runs = [Trajectory(time, np.repeat(rng.uniform(-1, 1, (1, 2)), 300, axis=0), SmoothRandom()(
         rng, 300, 0.01, np.array([[0.0], [1.0]])), split="test") for _ in range(3)]
-    found = map_open_loop({"zero": Mean(0.0), "half": Mean(0.5)}, runs, outputs=[0, 1], starts=40)
+    found = map_open_loop({"zero": constant(0.0), "half": constant(0.5)}, runs, outputs=[0, 1], starts=40)
     assert found.position.shape == (40, 2) and set(found.errors) == {"zero", "half"}
     assert found.errors["zero"] == pytest.approx(np.linalg.norm(found.position, axis=1))
     assert found.errors["half"] == pytest.approx(np.linalg.norm(found.position - 0.5, axis=1))

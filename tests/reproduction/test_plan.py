@@ -80,7 +80,7 @@ def test_recordings_are_trained_on_and_scored_where_they_are_and_nothing_is_coll
 
 def test_without_a_folder_of_recordings_the_plan_is_that_of_the_other_robots():
     for settings in (recorded(), with_recordings(recorded(), None)):
-        assert keys(flat(plan(settings))) == keys(flat(plan(SETTINGS)))
+        assert keys(flat(plan(settings)), as_given) == keys(flat(plan(SETTINGS)), as_given)
 
 
 def test_every_seed_of_an_obstacle_figure_is_another_set_and_methods_left_out_are_not_run():
@@ -113,7 +113,7 @@ def test_the_bench_is_between_plant_and_controller_but_no_model_knows_of_it():
 def test_all_is_every_figure_and_each_job_comes_after_what_it_needs():
     everything = flat(plan(SETTINGS))
     assert len(everything) == 2 + 4 + (1 + 6 + 6 + 2) + 1
-    assert list(keys(everything)) == [job.name for job in everything]
+    assert list(keys(everything, as_given)) == [job.name for job in everything]
 
 
 @pytest.mark.parametrize(("figures", "message"), [("fig13", "figures is 'fig13'; expected all or some of table"),
@@ -134,20 +134,26 @@ def test_a_method_without_a_model_and_a_figure_without_its_robot_are_refused():
         plan(wrong)
 
 
+def as_given(entry: str, overrides) -> str:
+    """A configuration that is its overrides."""
+    return f"{entry} {' '.join(overrides)}"
+
+
 def test_a_key_changes_with_what_comes_before_and_with_nothing_else():
-    before = keys(flat(plan(SETTINGS)))
+    before = keys(flat(plan(SETTINGS)), as_given)
     changed = deepcopy(SETTINGS)
     changed["robots"]["bench"]["train"]["SSMR"] = ["fit=least_squares"]
-    after = keys(flat(plan(changed)))
+    after = keys(flat(plan(changed)), as_given)
     assert {name for name in before if before[name] != after[name]} == {
         "models/bench/SSMR", "runs/hardware/bench/SSMR/eight/0-20ms", "runs/hardware/bench/SSMR/eight/1-20ms"}
-    assert {name: before[name] for name in keys(flat(plan(SETTINGS, "letters")))} == keys(
-        flat(plan(SETTINGS, "letters")))
+    letters = keys(flat(plan(SETTINGS, "letters")), as_given)
+    assert {name: before[name] for name in letters} == letters
 
 
-def test_a_key_changes_with_the_text_of_a_configuration_file_and_so_do_those_after_it():
+def test_a_key_changes_with_a_configuration_and_so_do_those_after_it():
     jobs = flat(plan(SETTINGS))
-    before, after = keys(jobs), keys(jobs, lambda step: "new" if "experiment=trunk" in step.overrides else "")
+    before = keys(jobs, as_given)
+    after = keys(jobs, lambda entry, overrides: as_given(entry, overrides) + "new" * ("experiment=trunk" in overrides))
     assert {name for name in before if before[name] != after[name]} == {
         job.name for job in jobs if "trunk" in job.name and not job.name.startswith("data/")}
 
@@ -155,7 +161,7 @@ def test_a_key_changes_with_the_text_of_a_configuration_file_and_so_do_those_aft
 def test_a_job_before_what_it_needs_is_refused():
     job = Job("run", "run/metrics.json", (Step("control"),), ("model",))
     with pytest.raises(ValueError, match="run needs model, which is not planned before it"):
-        keys([job])
+        keys([job], as_given)
 
 
 def p99(stages: dict[str, list[Job]], times: dict[str, list[float]]) -> list[str]:
