@@ -26,6 +26,23 @@ class TrainedModel(DataSheet):
     that was fitted, None of an artifact. report: what determined each fit, empty of an artifact.
 
     `ssmr_torch.fit` and `ssmr_torch.load` give one; see `predict`, `save` and `export`.
+
+    >>> model                                                                                      # of an oscillator
+    TrainedModel DMD: 6 states, 1 inputs, 2 outputs
+    ├─ outputs: x, v; displacement from rest, m
+    ├─ inputs: range of the training
+    │  └─ u: -0.199 … 0.199 N
+    ├─ window: 2 samples, 0.01 s apart; delays = 1
+    ├─ step: 0.01 s (100 Hz)
+    ├─ recordings: 0.01 s (100 Hz)
+    ├─ stability: margin 1.01 1/s, slowest mode -1.01 ± 10i 1/s
+    ├─ scores
+    ...
+    ├─ trained on: 2 decays, 1360 samples of controlled runs
+    ├─ rest: 0, 0 mm
+    ├─ from: arrays
+    ├─ sources: decay 1 (...), decay 2 (...), controlled 1 (...), … (5)
+    └─ made by: ssmr_torch ...
     """
 
     reduced: Model

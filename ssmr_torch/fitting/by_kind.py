@@ -42,7 +42,7 @@ def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name
     Returns a `TrainedModel`. Raises TypeError for an option that does not exist, with the nearest one, ValueError for
     data or values that cannot be fitted, before any work.
 
-    >>> model = fit(data, "dmd", delays=1, progress=False)                                  # data: see `trajectories`
+    >>> model = fit(data, "dmd", delays=1, progress=False)                                    # of an oscillator
     >>> window, inputs = data[-1].observation[:2], data[-1].input[1:4]
     >>> model.predict(window, inputs, past_inputs=data[-1].input[:1]).shape
     (3, 2)
