@@ -23,8 +23,8 @@ def main(config, directory):
     if not given:
         forms = deploy(path, formats)
     else:
-        tables, card = model_of(config)
-        artifact.save(path, tables, name=config.name or card["name"], output_names=card["output_names"],
+        model, card = model_of(config)
+        artifact.save(path, model, name=config.name or card["name"], output_names=card["output_names"],
                       input_names=card["input_names"], rest=card["rest"], input_range=card["input_range"],
                       input_unit=card["input_unit"], scores=card.get("scores"), cost=card.get("cost"),
                       sampling_time=card.get("sampling_time"),
@@ -36,12 +36,17 @@ def main(config, directory):
 
 
 def model_of(config):
-    """The tables of a checkpoint or a published model, and what an artifact's card says of it."""
+    """The model of a checkpoint or of a published file, and what an artifact's card says of it."""
+    from ssmr_torch import artifact
+
     if config.mat is None:
-        from ssmr_torch.fitting.training import load_model
+        twin = artifact.load_twin(config.checkpoint)
+        if twin is not None:
+            return twin
+        from ssmr_torch.fitting.checkpoints import load_model
 
         model, card = load_model(config.checkpoint)
-        return model.tables(), card
+        return model.reduced.numpy(), card
     from ssmr_torch.published_models import read_published_model
 
     return read_published_model(
