@@ -18,18 +18,18 @@ PLANT := $(or $(PLANT_$(PRESET)),$(error PRESET is $(PRESET); expected quick or 
 	touch $@
 
 run: .venv/installed
-	$(BIN)/python experiments/collect.py plant=$(PLANT) excitation=trunk hydra.run.dir=$(RUN)/collect
-	$(BIN)/python experiments/train.py experiment=trunk model=ssmr model.dynamics_degree=2 model.parametrization_degree=1 \
+	$(BIN)/ssmr collect plant=$(PLANT) excitation=trunk hydra.run.dir=$(RUN)/collect
+	$(BIN)/ssmr train experiment=trunk model=ssmr model.dynamics_degree=2 model.parametrization_degree=1 \
 		data.path=$(RUN)/collect/trajectories.h5 hydra.run.dir=$(RUN)/train/ssmr
-	$(BIN)/python experiments/train.py experiment=trunk model=sssr \
+	$(BIN)/ssmr train experiment=trunk model=sssr \
 		data.path=$(RUN)/collect/trajectories.h5 hydra.run.dir=$(RUN)/train/sssr
-	$(BIN)/python experiments/export.py -m checkpoint=$(RUN)/train/ssmr/model.ckpt,$(RUN)/train/sssr/model.ckpt \
+	$(BIN)/ssmr export -m checkpoint=$(RUN)/train/ssmr/model.ckpt,$(RUN)/train/sssr/model.ckpt \
 		hydra.sweep.dir=$(RUN)/export
-	$(BIN)/python experiments/evaluate.py 'artifact=[$(RUN)/export/0/artifact,$(RUN)/export/1/artifact]' \
+	$(BIN)/ssmr evaluate 'artifact=[$(RUN)/export/0/artifact,$(RUN)/export/1/artifact]' \
 		data.path=$(RUN)/collect/trajectories.h5 kind=controlled 'outputs=[tip_x,tip_y,tip_z]' hydra.run.dir=$(RUN)/evaluate
-	$(BIN)/python experiments/control.py -m artifact=$(RUN)/export/0/artifact,$(RUN)/export/1/artifact plant=$(PLANT) \
+	$(BIN)/ssmr control -m artifact=$(RUN)/export/0/artifact,$(RUN)/export/1/artifact plant=$(PLANT) \
 		controller=scp_trunk task=letter hydra.sweep.dir=$(RUN)/control
-	$(BIN)/python experiments/report.py directory=$(RUN) hydra.run.dir=$(RUN)/report
+	$(BIN)/ssmr report directory=$(RUN) hydra.run.dir=$(RUN)/report
 
 test: .venv/installed
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(PYTEST_ARGS)

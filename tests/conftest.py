@@ -10,9 +10,11 @@ from pathlib import Path
 import pytest
 import torch
 
+from ssmr_torch import configuration
 from ssmr_torch.data.windows import SegmentDataset
 from ssmr_torch.fitting.exact import ExactSolve
 
+configuration.register()
 ROOT = Path(__file__).resolve().parents[1]
 MEASUREMENTS = Path(os.environ.get("SSMR_TORCH_DATA", ROOT.parent / "shared" / "data"))
 BENCHMARK = ROOT / "experiments" / "benchmarks" / "control_step.py"
@@ -60,7 +62,7 @@ def solve_stages():
 
 @pytest.fixture(scope="session")
 def bench():
-    """The benchmark as a module: `oscillators`, `perturbed`, `TablesPlant`, `BOUNDS`, `measure`."""
+    """The benchmark as a module: `oscillators`, `perturbed`, `ModelPlant`, `BOUNDS`, `measure`."""
     spec = importlib.util.spec_from_file_location("control_step", BENCHMARK)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

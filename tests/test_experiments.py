@@ -1,34 +1,66 @@
-"""The line end to end, through its entry points, each in a process of its own."""
+"""The line end to end, through its commands."""
 
+import contextlib
 import csv
+import io
 import json
+import os
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 from omegaconf import OmegaConf
 
-from ssmr_torch import artifact
+from ssmr_torch import artifact, command
 from ssmr_torch.closed_loop import ClosedLoopRecord
+from ssmr_torch.experiments.sweep_table import save_best, save_controller
 from ssmr_torch.trajectory import TrajectoryDataset
 
-EXPERIMENTS = Path(__file__).resolve().parents[1] / "experiments"
+SSMR = Path(sys.executable).with_name("ssmr")
 SMALL = ["excitation.decays.count=20", "excitation.validation_decays=1", "excitation.test_decays=1",
          "excitation.decay_duration=2.0", "excitation.progress=false"]
-QUIET = ["logger=csv", "trainer.enable_progress_bar=false"]
+QUIET = ["trainer.enable_progress_bar=false"]
 
 
-def start(script: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess:
-    return subprocess.run([sys.executable, str(EXPERIMENTS / f"{script}.py"), *map(str, arguments)], cwd=cwd,
-                          capture_output=True, text=True)
+class Ended(NamedTuple):
+    returncode: int
+    stdout: str
+    stderr: str
 
 
-def run(script: str, *arguments: str, cwd: Path) -> str:
-    done = start(script, *arguments, cwd=cwd)
+def start(name: str, *arguments: str, cwd: Path) -> Ended:
+    """`ssmr NAME …` in this process, which has loaded Torch already; the process is left as it was."""
+    said, complained, before = io.StringIO(), io.StringIO(), (sys.argv, sys.path[:], dict(os.environ))
+    try:
+        with contextlib.chdir(cwd), contextlib.redirect_stdout(said), contextlib.redirect_stderr(complained), \
+                warnings.catch_warnings():
+            warnings.simplefilter("default")
+            sys.argv = ["ssmr", name, *map(str, arguments)]
+            status = command.main()
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else 1
+        complained.write("" if isinstance(end.code, int) else str(end.code))
+    finally:
+        sys.argv, sys.path[:] = before[:2]
+        os.environ.clear()
+        os.environ.update(before[2])
+    return Ended(status, said.getvalue(), complained.getvalue())
+
+
+def run(name: str, *arguments: str, cwd: Path) -> str:
+    done = start(name, *arguments, cwd=cwd)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
+
+
+def run_alone(*arguments: str, cwd: Path) -> None:
+    """`ssmr …` in a process of its own."""
+    done = subprocess.run([SSMR, *arguments], cwd=cwd, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +88,7 @@ def trunk_line(tmp_path_factory):
     at = tmp_path_factory.mktemp("trunk")
     short = ["excitation=trunk", "excitation.decays=8", "excitation.validation_decays=0", "excitation.test_decays=1",
              "excitation.decay_duration=1.5", "excitation.progress=false", "hydra.run.dir=collect"]
-    process = subprocess.Popen([sys.executable, str(EXPERIMENTS / "collect.py"), *TRUNK, *short], cwd=at,
+    process = subprocess.Popen([SSMR, "collect", *TRUNK, *short], cwd=at,
                                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while process.poll() is None and len(list(at.glob("collect/recorded/*.h5"))) < 2:
         time.sleep(0.05)
@@ -148,7 +180,7 @@ def test_the_report_holds_tables_and_figures_and_nothing_from_outside(line):
 
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_scores_to_the_last_digit(line):
-    run("train", "model=ssmr", "data.path=collect/trajectories.h5", *QUIET, "hydra.run.dir=again", cwd=line)
+    run_alone("train", "model=ssmr", "data.path=collect/trajectories.h5", *QUIET, "hydra.run.dir=again", cwd=line)
     first, again = (json.loads((line / at / "result.json").read_text())["metrics"] for at in ("train/0", "again"))
     assert first == again
 
@@ -216,10 +248,7 @@ def test_a_controller_is_tuned_on_a_task_of_its_own_and_its_best_settings_are_a_
     assert f"controller.observer.measurement_noise={best.observer.measurement_noise}" in rows[0]["overrides"]
 
 
-def test_what_was_searched_with_another_fit_is_written_out_as_conf_tuned_needs_it(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "experiments"))
-    from sweep_table import save_best
-
+def test_what_was_searched_with_another_fit_is_written_out_as_conf_tuned_needs_it(tmp_path):
     (tmp_path / "0" / ".hydra").mkdir(parents=True)
     overrides = ["model.delays=4", "fit.closed_form.ridge.default=0.1", "fit=guarded", "module.transient=0.2"]
     (tmp_path / "0" / "result.json").write_text(json.dumps({"overrides": overrides}))
@@ -229,10 +258,7 @@ def test_what_was_searched_with_another_fit_is_written_out_as_conf_tuned_needs_i
     assert OmegaConf.load(tmp_path / "best.yaml") == composed | {"module": {"transient": 0.2}}
 
 
-def test_a_tuned_controller_without_an_observer_names_none(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "experiments"))
-    from sweep_table import save_controller
-
+def test_a_tuned_controller_without_an_observer_names_none(tmp_path):
     (tmp_path / "0").mkdir()
     searched = {"overrides": ["controller.input_weight=3.0", "plant=trunk"]}
     (tmp_path / "0" / "result.json").write_text(json.dumps(searched))
@@ -285,14 +311,14 @@ def test_the_delay_study_takes_the_record_of_a_closed_loop(line):
 
 @pytest.mark.slow
 def test_two_processes_started_by_the_entry_point_give_the_scores_of_one(line):
-    run("train", "model=ssmr", "data.path=collect/trajectories.h5", *QUIET, "trainer=ddp", "hydra.run.dir=ddp",
-        cwd=line)
+    run_alone("train", "model=ssmr", "data.path=collect/trajectories.h5", *QUIET, "trainer=ddp", "hydra.run.dir=ddp",
+              cwd=line)
     alone, both = (json.loads((line / at / "result.json").read_text())["metrics"] for at in ("train/0", "ddp"))
     assert both == pytest.approx(alone, rel=1e-6)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("script", "arguments", "message"), [
+@pytest.mark.parametrize(("name", "arguments", "message"), [
     ("train", ["data.path=nowhere.h5"], "no trajectory file at"),
     ("train", ["data.path=collect/trajectories.h5", "outputs=[nose]"], r"no outputs ['nose']; the dataset has"),
     ("train", ["data.path=collect/trajectories.h5", "model.state_dim=13"], "fewer than the 13 reduced coordinates"),
@@ -313,7 +339,7 @@ def test_two_processes_started_by_the_entry_point_give_the_scores_of_one(line):
     ("collect", ["plant=trunk_coarse", "rig.sensor_delay=0.015"], "expected a whole multiple"),
     ("collect", ["plant=trunk_coarse", "plant.young=-1"], "expected a positive modulus"),
 ])
-def test_bad_input_ends_in_one_clear_message_before_any_work(line, script, arguments, message):
-    done = start(script, *arguments, f"hydra.run.dir=refused-{script}", *(QUIET if script == "train" else []), cwd=line)
+def test_bad_input_ends_in_one_clear_message_before_any_work(line, name, arguments, message):
+    done = start(name, *arguments, f"hydra.run.dir=refused-{name}", *(QUIET if name == "train" else []), cwd=line)
     assert done.returncode != 0
     assert message in done.stderr and "Traceback" not in done.stderr, done.stderr
