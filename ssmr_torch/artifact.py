@@ -271,7 +271,7 @@ def _replay(directory: Path, model: Model) -> None:
 
 @contextmanager
 def _replacing(directory: Path):
-    """A folder aside that takes the directory's place when all has been written, and leaves no trace where it is not."""
+    """A folder aside that takes the directory's place when all has been written, and leaves no trace otherwise."""
     directory.parent.mkdir(parents=True, exist_ok=True)
     within = Path(tempfile.mkdtemp(prefix=f".{directory.name}.", dir=directory.parent))
     try:

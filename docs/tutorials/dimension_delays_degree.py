@@ -53,7 +53,7 @@ def fit(data, state_dim=6, delays=2, degree=3):
                          model=partial(SSMR, state_dim=state_dim, delays=delays, parametrization_degree=degree,
                                        dynamics_degree=degree, substeps=2),
                          module=partial(TrajectoryDataModule, validation_share=0, transient=0.1, score_test=False))
-    return training.model.tables(), training.report["closed_form"]
+    return training.model.reduced.numpy(), training.report["closed_form"]
 
 
 def score(data, model):

@@ -112,7 +112,7 @@ def fit(data, degree, transient):
                           control_degree=0),
             fits={"closed_form": partial(least_squares, calibration="frozen")},
             module=partial(TrajectoryDataModule, transient=transient, validation_share=0))
-    return training.model.tables()
+    return training.model.reduced.numpy()
 # --8<-- [end:fit]
 
 

@@ -45,7 +45,7 @@ def learn():
         return train(data, directory=directory, trainer=trainer, fits={"closed_form": least_squares},
                      model=partial(SSMR, state_dim=6, delays=1, parametrization_degree=3, dynamics_degree=3,
                                    substeps=2),
-                     module=partial(TrajectoryDataModule, validation_share=0, transient=0.1)).model.tables()
+                     module=partial(TrajectoryDataModule, validation_share=0, transient=0.1)).model.reduced.numpy()
 
 
 # --8<-- [start:track]

@@ -17,7 +17,7 @@ from time import thread_time
 
 import numpy as np
 from control_scaling import among_circles
-from control_step import BOUNDS, TablesPlant, machine, oscillators, perturbed, predictive
+from control_step import BOUNDS, ModelPlant, machine, oscillators, perturbed, predictive
 
 CHECKPOINTS, LIMIT, MISSING_EVERY = 10, 5.0, 1000
 STATISTICS = Path("/proc/self/statm")
@@ -36,7 +36,7 @@ def endure(steps: int, horizon: int, obstacles: int, qp: str):
     model, lap = oscillators(), 2 * np.pi / 4.0
     task = among_circles(obstacles, laps=2 + steps * 0.02 / lap)
     controller = predictive(model, task, BOUNDS, horizon=horizon, qp=qp)
-    plant = TablesPlant(perturbed(model, 0.03))
+    plant = ModelPlant(perturbed(model, 0.03))
     plant.model = replace(plant.model, substeps=1)  # a finer plant would take most of the time
     rng, observation, samples = np.random.default_rng(0), plant.reset(), round(0.02 / plant.timestep)
     cpu = np.full(steps // CHECKPOINTS, np.nan)

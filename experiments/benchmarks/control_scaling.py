@@ -13,9 +13,10 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from control_step import BOUNDS, TablesPlant, machine, measure, oscillators, perturbed, predictive
+from control_step import BOUNDS, ModelPlant, machine, measure, oscillators, perturbed, predictive
 
-from ssmr_torch.models.koopman_tables import KoopmanTables
+from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.models.structures import koopman
 from ssmr_torch.tasks.obstacles import random_circles
 from ssmr_torch.tasks.references import figure_eight
 
@@ -25,14 +26,14 @@ CIRCLES = (0, 1, 3, 10, 20, 50, 100)
 SAMPLES = 3000
 
 
-def window_model(states: int, ridge: float = 1e-6) -> KoopmanTables:
+def window_model(states: int, ridge: float = 1e-6) -> PolynomialModel:
     """z⁺ = A z + B u with z the newest states / 6 measurements, fitted to the plant's answer to random inputs.
 
     Raises ValueError when that is no whole number of measurements.
     """
     if states < 6 or states % 6:
         raise ValueError(f"{states} states; expected a multiple of the 6 outputs")
-    delays, plant, rng = states // 6 - 1, TablesPlant(perturbed(oscillators(), 0.03)), np.random.default_rng(0)
+    delays, plant, rng = states // 6 - 1, ModelPlant(perturbed(oscillators(), 0.03)), np.random.default_rng(0)
     outputs, inputs = [plant.reset()], np.repeat(0.5 * rng.uniform(*BOUNDS, size=(SAMPLES // 10, 4)), 10, axis=0)
     outputs = np.array(outputs + [plant.step(u) for u in inputs]) + 3e-5 * rng.standard_normal((SAMPLES + 1, 6))
     scale = np.full(states, 0.04)
@@ -42,7 +43,7 @@ def window_model(states: int, ridge: float = 1e-6) -> KoopmanTables:
     newest = np.linalg.solve(gram, known.T @ (outputs[delays + 1:] / scale[:6])).T
     A, B = np.eye(states, k=-6), np.zeros((states, 4))
     A[:6], B[:6] = newest[:, :states], newest[:, states:]
-    return KoopmanTables(
+    return koopman(
         scale=scale, A=A, B=B, N=np.zeros((0, states, states)), pregain=np.zeros((0, 7)), set_points=np.zeros((0, 7)),
         degree=1, input_delays=0, constant=False, state_scale=np.ones(states), input_dim=4, output_dim=6,
         delays=delays, timestep=0.01, window_timestep=0.01, base_timestep=0.01)

@@ -57,15 +57,16 @@ def oscillators(seed: int = 0, degree: int = 3, control_degree: int = 1) -> Poly
 
 def perturbed(model: PolynomialModel, relative: float, seed: int = 1) -> PolynomialModel:
     """The same model with every parameter of its dynamics wrong by a normal relative error."""
-    rng = np.random.default_rng(seed)
-    return replace(model, drift=model.drift * (1 + relative * rng.standard_normal(model.drift.shape)),
-                   control=model.control * (1 + relative * rng.standard_normal(model.control.shape)))
+    rng, rows = np.random.default_rng(seed), len(model.dynamics)
+    free = sum(factors[-1] < model.state_dim for factors in model.structure.dynamics.factors)
+    errors = [rng.standard_normal((rows, columns)) for columns in (free, model.dynamics.shape[1] - free)]
+    return replace(model, dynamics=model.dynamics * (1 + relative * np.hstack(errors)))
 
 
-class TablesPlant:
-    """A plant that obeys polynomial tables, finely integrated; its state is that of the tables."""
+class ModelPlant:
+    """A plant that obeys a polynomial model, finely integrated; its state is that of the model."""
 
-    name, input_unit = "tables", "N"
+    name, input_unit = "model", "N"
 
     def __init__(self, model: PolynomialModel, input_bounds: np.ndarray = BOUNDS):
         self.model = replace(model, substeps=4)
@@ -107,7 +108,7 @@ def measure(horizon: int, laps: float = 6.0, build=predictive, model=None, task=
     from an obstacle at a control step, mm; infinite without one.
     """
     task = figure_eight(laps=laps) if task is None else task
-    plant = TablesPlant(perturbed(oscillators(), 0.03))
+    plant = ModelPlant(perturbed(oscillators(), 0.03))
     controller = build(oscillators() if model is None else model, task, BOUNDS, horizon=horizon)
     rng, observation = np.random.default_rng(0), plant.reset()
     cpu, wall, inputs, errors, clearance = [], [], [], [], np.inf

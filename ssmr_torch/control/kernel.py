@@ -242,7 +242,8 @@ def linearize(state, inputs, tables):
     states, outputs = np.empty((N + 1, n)), np.empty((N, p))
     A, B, C = np.empty((N, n, n)), np.empty((N, n, m)), np.empty((N, p, n))
     rate, rate_z, rate_u = np.empty_like(free), np.empty_like(free_z), np.empty((n * m, columns_u))
-    powers, u_powers, F, G = np.empty(1 + n + products.shape[1]), np.empty(1 + m + u_products.shape[1]), np.empty(n * n), np.empty(n * m)
+    powers, u_powers = np.empty(1 + n + products.shape[1]), np.empty(1 + m + u_products.shape[1])
+    F, G = np.empty(n * n), np.empty(n * m)
     vectors, work = np.empty((5, n)), np.empty((4, n * (n + m)))
     k, start, total, within, slopes = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
     S_start, S_total, flat_S, flat_K = work[0], work[1], work[2], work[3]

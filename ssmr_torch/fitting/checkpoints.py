@@ -16,7 +16,7 @@ DECISIVE = ("data", "outputs", "model", "module", "seed")
 
 
 def save_model(path: Path, model: TorchModel, card: dict) -> Path:
-    """The fitted model alone, as `load_model` reads it, and its twin without Torch beside it, see `artifact.save_twin`."""
+    """The fitted model alone, as `load_model` reads it; beside it what needs no Torch, see `artifact.save_twin`."""
     # every process of a distributed run writes the same
     aside = path.with_name(f"{path.name}.{os.getpid()}.part")
     torch.save({"model": description(model), "card": card,

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from ssmr_torch.data.windows import RolloutBatch
 from ssmr_torch.fitting.fit import ModelFit
-from ssmr_torch.fitting.rollout_sensitivities import GROUPS, coefficients, rollout_sensitivities
+from ssmr_torch.fitting.rollout_sensitivities import coefficients, rollout_sensitivities
 from ssmr_torch.fitting.stability import StabilityGuard
-from ssmr_torch.models.base import ReducedModel
+from ssmr_torch.models.torch_model import TorchModel
 
 LARGEST = 6000           # coefficients: the normal matrix then takes 0.3 GB
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-6, 1e4
@@ -107,9 +107,9 @@ class GaussNewtonFit(ModelFit):
 
     selects, monitor = True, "validation/guarded"
 
-    def __init__(self, model: ReducedModel, *, epochs: int = 15, starts: int = 400, horizon: float = 1.0,
-                 samples: int = 10, trained: Sequence[str] = GROUPS, damping: float = 1e-2, tolerance: float = 0.01,
-                 margin: float = 0.05, reach: float = 3.0, overdrive: float = 1.25):
+    def __init__(self, model: TorchModel, *, epochs: int = 15, starts: int = 400, horizon: float = 1.0,
+                 samples: int = 10, trained: Sequence[str] = ("dynamics",), damping: float = 1e-2,
+                 tolerance: float = 0.01, margin: float = 0.05, reach: float = 3.0, overdrive: float = 1.25):
         super().__init__(model)
         if epochs < 0 or starts < 1 or samples < 1 or not (horizon > 0 and damping > 0 and tolerance >= 0):
             raise ValueError(f"epochs {epochs}, starts {starts}, samples {samples}, horizon {horizon} s, damping "

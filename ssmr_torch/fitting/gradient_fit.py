@@ -12,7 +12,7 @@ from torch import Tensor
 from ssmr_torch.data.windows import RolloutBatch
 from ssmr_torch.fitting.fit import ModelFit
 from ssmr_torch.fitting.scaled_adam import ScaledAdam, table_scales
-from ssmr_torch.models.base import ReducedModel
+from ssmr_torch.models.torch_model import TorchModel
 
 
 class GradientFit(ModelFit):
@@ -35,7 +35,7 @@ class GradientFit(ModelFit):
 
     selects = True
 
-    def __init__(self, model: ReducedModel, *, epochs: int = 20, learning_rate: float = 3e-4,
+    def __init__(self, model: TorchModel, *, epochs: int = 20, learning_rate: float = 3e-4,
                  frozen: Sequence[str] = ("chart", "parametrization"), gradient_clip: float = 1.0,
                  weight_decay: float = 0.0, first_share: float = 1.0, patience: int | None = None,
                  minutes: float | None = None, horizon: float | None = None):

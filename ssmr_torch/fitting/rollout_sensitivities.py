@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from ssmr_torch.data.windows import RolloutBatch
-from ssmr_torch.models.torch_model import TorchModel
 from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.models.torch_model import TorchModel
 
 GROUPS = ("dynamics", "chart", "parametrization")
 
@@ -63,9 +63,9 @@ def dynamics_tables(model: TorchModel) -> list[Tensor]:
     Raises ValueError for a model whose dynamics are no table times regressors.
     """
     if "dynamics" not in model.tables or model.structure.relift:
-        raise ValueError(f"{type(model).__name__} has no coefficient tables; Gauss-Newton steps and the stability guard "
-                         "take SSMR, SSSR, control-augmented and other models that name their tables; the rest are "
-                         "refined with fit=rollout")
+        raise ValueError(f"{type(model).__name__} has no coefficient tables; Gauss-Newton steps and the stability "
+                         "guard take SSMR, SSSR, control-augmented and other models that name their tables; the rest "
+                         "are refined with fit=rollout")
     return [getattr(model, name).data for name in model.tables["dynamics"]]
 
 

@@ -16,7 +16,8 @@ from ssmr_torch.fitting.dimension import captured_variance
 from ssmr_torch.fitting.exact import ExactSolve
 from ssmr_torch.fitting.fit import ModelFit
 from ssmr_torch.fitting.replay import Replay, linearized_step, replayed
-from ssmr_torch.models.base import fill
+from ssmr_torch.keywords import configurable
+from ssmr_torch.models.torch_model import fill
 from ssmr_torch.models.tpwl import TPWL
 from ssmr_torch.plants.finite_element.robot import FiniteElementRobot
 
@@ -142,6 +143,7 @@ class TPWLFit(ModelFit):
 
     epochs = 1
 
+    @configurable(PlantLinearization)
     def __init__(self, model: TPWL, *, plant: FiniteElementRobot | None = None, **options):
         super().__init__(model)
         self.procedure = PlantLinearization(plant, **options)

@@ -152,7 +152,7 @@ class Model(DataSheet, ABC):
     def rates(self) -> np.ndarray:
         """Eigenvalues λ of the dynamics linearized at z = 0, u = 0, (n,) 1/s: e^{λ timestep} are those of A."""
         A = self.numpy().linearize(np.zeros(self.state_dim), np.zeros(self.input_dim)).A
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             return np.log(np.linalg.eigvals(A).astype(complex)) / self.timestep
 
     @abstractmethod

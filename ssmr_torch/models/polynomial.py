@@ -8,7 +8,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from ssmr_torch.models.arrays import Array, identity, namespace
+from ssmr_torch.models.arrays import Array, identity, like, namespace
 from ssmr_torch.models.base import Linearization, Model, OutputLinearization, around
 from ssmr_torch.models.integrators import map_linearization, repeated_map, rk4_linearization, rk4_step
 from ssmr_torch.models.monomials import Form, Monomials, on_device
@@ -139,7 +139,7 @@ class PolynomialModel(Model):
         values = np.linalg.eigvals(self.numpy().linear_part).astype(complex)
         if self.flow:
             return values
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             h = self.base_timestep
             return np.log(1.0 + h * values if self.structure.scheme == "euler" else values) / h
 
@@ -229,6 +229,16 @@ class PolynomialModel(Model):
     def rate(self, z: Array, u: Array) -> Array:
         """f(z, u), (..., ·): dz/dt of a flow."""
         return self.dynamics_regressors(z, u) @ self.dynamics.T
+
+    def drift(self, z: Array) -> Array:
+        """f(z, 0), the dynamics without input, (..., ·)."""
+        xp = namespace(z)
+        return self.rate(z, xp.zeros_like(z[..., :1]) + like(z, np.zeros(self.input_dim)))
+
+    def control_field(self, z: Array) -> Array:
+        """∂f/∂u at u = 0, (..., ·, m)."""
+        xp = namespace(z)
+        return self.rate_jacobians(z, xp.zeros_like(z[..., :1]) + like(z, np.zeros(self.input_dim)))[1]
 
     def state_jacobian(self, z: Array, u: Array) -> Array:
         """∂f/∂z (..., ·, n)."""

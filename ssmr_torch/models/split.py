@@ -17,9 +17,9 @@ class Split(NamedTuple):
     """f(z, u) = (free + Σ_q u^q · its fields) · c(z),   c the closure of `states`, u^q monomials of `inputs`.
 
     states: monomials of z; inputs: monomials of u alone, without the constant.
-    free (r, ·): columns of c, as many from its beginning as are needed, also by the fields. runs (R, 4): the place of u^q
-    in the closure of `inputs`, the first of neighbouring columns of c to which it adds, how many there are, and where
-    their coefficients begin in fields (r, ·).
+    free (r, ·): columns of c, as many from its beginning as are needed, also by the fields. runs (R, 4): the place of
+    u^q in the closure of `inputs`, the first of neighbouring columns of c to which it adds, how many there are, and
+    where their coefficients begin in fields (r, ·).
     free_z (r n, ·), runs_z (R', 4), fields_z (r n, ·): likewise of ∂f/∂z, row by row.
     runs_u (T, 6): of ∂f/∂u_j, the place of ∂u^q/∂u_j in the closure of `inputs` and its factor, j, and the last three
     entries of the run of `fields` that it multiplies. columns_u: how many columns of c ∂f/∂u has.

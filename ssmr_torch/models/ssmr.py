@@ -16,7 +16,8 @@ class SSMR(PolynomialTorchModel):
     a constant input matrix. A step is `substeps` Runge-Kutta steps of order four with the input held.
 
     chart (n, ·), parametrization ((n_d + 1) p, ·), drift_table (n, ·), control_table (n, m (1 + ·)), over monomials in
-    graded order. Raises ValueError when the window holds fewer values than state_dim: no chart of that dimension exists.
+    graded order.
+    Raises ValueError when the window holds fewer values than state_dim: no chart of that dimension exists.
     """
 
     tables = {"chart": ("chart",), "parametrization": ("parametrization",),

@@ -33,8 +33,9 @@ def ssm_structure(state_dim: int, input_dim: int, window_dim: int, *, parametriz
     n, m = state_dim, input_dim
     drift, control = graded(n, 1, dynamics_degree), graded(n, 1, control_degree)
     products = [(*factors, n + j) for factors in ((), *control.factors) for j in range(m)]
-    return Structure(graded(window_dim, 1, chart_degree), tuple(range(window_dim)), graded(n, 1, parametrization_degree),
-                     Monomials(n + m, [*drift.factors, *products]), "runge_kutta")
+    return Structure(graded(window_dim, 1, chart_degree), tuple(range(window_dim)),
+                     graded(n, 1, parametrization_degree), Monomials(n + m, [*drift.factors, *products]),
+                     "runge_kutta")
 
 
 @lru_cache(maxsize=256)
@@ -113,8 +114,8 @@ def koopman(*, scale: Array, A: Array, B: Array, N: Array, pregain: Array, set_p
     the rows of A, B, N are those of ζ / scale alone. pregain, set_points: see `PregainModel`, or (0, 1 + p).
     """
     xp, p = namespace(A), output_dim
-    structure = koopman_structure(input_dim, p, delays, input_delays=input_delays, degree=degree, constant=bool(constant),
-                                  bilinear=len(N) > 0, relift=bool(relift))
+    structure = koopman_structure(input_dim, p, delays, input_delays=input_delays, degree=degree,
+                                  constant=bool(constant), bilinear=len(N) > 0, relift=bool(relift))
     tables = {"dynamics": xp.concatenate([A, B, *N], -1), "parametrization": identity(A, p) * scale[:p],
               "chart": A[:0],  # z is ψ itself
               "window_scale": scale, "state_scale": state_scale}

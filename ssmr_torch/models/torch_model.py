@@ -112,8 +112,8 @@ class TorchModel(nn.Module, ABC):
         return self.reduced.rollout(z, inputs)
 
     def scales(self) -> dict[str, Tensor]:
-        """The size of a step for each coefficient, by the parameters' names: an optimizer sees θ / scale. Those that are
-        not named are of order one already.
+        """The size of a step for each coefficient, by the parameters' names: an optimizer sees θ / scale. Those that
+        are not named are of order one already.
         """
         return {}
 

@@ -88,8 +88,8 @@ class KnownModel:
         z = REACH * np.random.default_rng(9).uniform(-0.7, 0.7, (200, 2))
         T = model.chart[:, :4].numpy() @ self.V
         there = torch.from_numpy(z @ T.T)
-        pairs = {"drift": (model.drift(there), self.drift(z) @ T.T),
-                 "control": (model.control_field(there), T @ self.control_field(z)),
+        pairs = {"drift": (model.reduced.drift(there), self.drift(z) @ T.T),
+                 "control": (model.reduced.control_field(there), T @ self.control_field(z)),
                  "outputs": (model.decode(there), self.observe(z))}
         return {name: np.linalg.norm(found.numpy() - true) / np.linalg.norm(true)
                 for name, (found, true) in pairs.items()}

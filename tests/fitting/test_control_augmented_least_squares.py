@@ -52,7 +52,7 @@ def one_step_error(model, trajectories):
 def test_a_joint_polynomial_map_of_state_and_input_is_recovered(solve_stages):
     read_out = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 2))).Q
     trajectories = runs(joint_map, read_out)
-    model = ControlAugmentedSSMR(2, 2, 3, 0, dynamics_degree=2, timestep=H)
+    model = ControlAugmentedSSMR(2, 2, 3, 0, dynamics_degree=2, input_degree=2, timestep=H)
     solve_stages(ControlAugmentedLeastSquares(model), trajectories, rows=64)
     assert one_step_error(model, trajectories) < 1e-10
 

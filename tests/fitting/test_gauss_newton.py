@@ -8,6 +8,7 @@ from scipy.optimize import least_squares
 
 from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.fitting.gauss_newton import COLUMNS, GaussNewtonFit, LevenbergMarquardt
+from ssmr_torch.fitting.rollout_sensitivities import GROUPS
 from ssmr_torch.fitting.stability import StabilityGuard
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.ssmr import SSMR
@@ -52,8 +53,8 @@ def test_a_step_that_lowers_no_cost_is_undone():
 
 
 def fitted(model, dataset, tmp_path, **options):
-    module = TrajectoryDataModule(dataset, validation_share=0.2, validation_horizon=0.3)
-    fit = GaussNewtonFit(model, **{"epochs": 8, "starts": 60, "horizon": 0.3} | options)
+    module = TrajectoryDataModule(dataset, transient=0.0, validation_share=0.2, validation_horizon=0.3)
+    fit = GaussNewtonFit(model, **{"epochs": 8, "starts": 60, "horizon": 0.3, "trained": GROUPS} | options)
     trainer = lightning.Trainer(max_epochs=fit.epochs, accelerator="cpu", logger=False, enable_progress_bar=False,
                                 enable_checkpointing=False, enable_model_summary=False, num_sanity_val_steps=0,
                                 default_root_dir=tmp_path)
@@ -66,8 +67,8 @@ def fitted(model, dataset, tmp_path, **options):
 
 def started(known, kind):
     """A linear model near the known robot's: its slow linear dynamics, nothing nonlinear."""
-    options = {"dynamics_degree": 3, "parametrization_degree": 2, "timestep": 0.01}
-    model = kind(2, 2, 4, 0, **options)
+    options = {"substeps": 1} if kind is SSMR else {"input_degree": 3, "saturated": False}
+    model = kind(2, 2, 4, 0, dynamics_degree=3, parametrization_degree=2, timestep=0.01, **options)
     drift = model.drift_table if kind is SSMR else model.dynamics_table
     with torch.no_grad():
         V = torch.from_numpy(known.V)
@@ -109,12 +110,12 @@ def test_an_unstable_start_is_made_to_hold_first(known, tmp_path):
     pytest.param(SSMR, 0.08, marks=pytest.mark.slow), (ControlAugmentedSSMR, 0.03)])
 def test_a_start_that_runs_away_under_stronger_inputs_is_led_back(known, tmp_path, kind, share):
     model, dataset = started(known, kind), known.dataset()
-    table, features = (model.drift_table, model.drift_features) if kind is SSMR else (
-        model.dynamics_table, model.dynamics_features)
+    table = model.drift_table if kind is SSMR else model.dynamics_table
+    exponents = torch.from_numpy(model.structure.dynamics.exponents[:table.shape[1]])
     with torch.no_grad():
         for row, powers in [(0, [3, 0]), (0, [1, 2]), (1, [2, 1]), (1, [0, 3])]:  # + |z|² z, which the robot has with −
-            at = torch.tensor(powers + [0] * (features.exponents.shape[1] - 2))
-            table[row, (features.exponents == at).all(1)] = share * known.gamma
+            at = torch.tensor(powers + [0] * (exponents.shape[1] - 2))
+            table[row, (exponents == at).all(1)] = share * known.gamma
     guard = StabilityGuard(dataset.select("train"), overdrive=1.5)
     lost = guard.diverging(model)
     fit, (before, after), _ = fitted(model, dataset, tmp_path, overdrive=1.5)

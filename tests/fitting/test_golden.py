@@ -12,7 +12,7 @@ from ssmr_torch.fitting.koopman_least_squares import KoopmanLeastSquares
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.fitting.statistics import StreamedRegression
 from ssmr_torch.models.koopman import Koopman
-from ssmr_torch.models.monomials import Monomials
+from ssmr_torch.models.monomials import graded
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.published_models import read_ssmr_model
 from ssmr_torch.trajectory import Trajectory
@@ -48,7 +48,7 @@ def parametrization_error(model, runs):
     shares = []
     for run in runs:
         window = delay_windows(torch.from_numpy(run.observation.copy()), model.delays)
-        error = (model.decode_window(model.encode(window)) - window).flatten(1)
+        error = (model.reduced.decode_window(model.encode(window)) - window).flatten(1)
         shares.append(float(error.norm(dim=1).mean() / window.flatten(1).norm(dim=1).max()))
     return 100 * np.mean(shares)
 
@@ -78,7 +78,7 @@ def test_held_out_hardware_decays_are_predicted_as_well_as_published(decays, sol
         window = delay_windows(torch.from_numpy(runs[i].observation.copy()), 4)
         inputs = torch.zeros(len(window) - 1, 4, dtype=torch.float64)
         states = model.rollout(model.encode(window[0]), inputs).states
-        error = (model.decode_window(states) - window).flatten(1).norm(dim=1).mean()
+        error = (model.reduced.decode_window(states) - window).flatten(1).norm(dim=1).mean()
         shares.append(100 * float(error / window.flatten(1).norm(dim=1).max()))
     assert np.median(shares) == pytest.approx(published, abs=0.05)
 
@@ -101,16 +101,16 @@ def test_the_published_reference_model_is_reproduced_by_reparametrization(decays
     solve_stages(procedure, runs, stages=["tangent_space"])
     solve_stages(procedure, [runs[i] for i in TRAIN], stages=["reparametrization", "manifold"])
     solve_stages(procedure, [controlled], stages=["control"])
-    fitted, published = model.tables(), read_ssmr_model(measurements("diamond_hardware/reference_model.mat"))
+    fitted, published = model.reduced.numpy(), read_ssmr_model(measurements("diamond_hardware/reference_model.mat"))
     signs = np.sign((fitted.chart[:, :6] * published.chart[:, :6]).sum(1))
-    flipped = np.prod(signs ** Monomials(6, 1, 3).exponents, axis=1)
+    flipped = np.prod(signs ** graded(6, 1, 3).exponents, axis=1)
     for ours, theirs in ((fitted.parametrization * flipped, published.parametrization),
                          (signs[:, None] * fitted.chart, published.chart),
-                         (signs[:, None] * fitted.drift * flipped, published.drift),
-                         (signs[:, None] * fitted.control, published.control)):
+                         (signs[:, None] * fitted.dynamics[:, :83] * flipped, published.dynamics[:, :83]),
+                         (signs[:, None] * fitted.dynamics[:, 83:], published.dynamics[:, 83:])):
         assert np.linalg.norm(ours - theirs) < 1e-8 * np.linalg.norm(theirs)
     stored = scipy.io.loadmat(measurements("diamond_hardware/reference_model.mat"))["py_data"][0, 0]["model"][0, 0]
-    np.testing.assert_allclose(1e3 * signs[0] * fitted.control[0], stored["B"][0], rtol=1e-7)
+    np.testing.assert_allclose(1e3 * signs[0] * fitted.dynamics[0, 83:], stored["B"][0], rtol=1e-7)
     np.testing.assert_allclose(stored["B"][0], [-8.6632, -27.1401, 0.7256, 67.6812], atol=5e-5)
 
 

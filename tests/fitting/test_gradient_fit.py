@@ -17,7 +17,7 @@ from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.fitting.training import neural_ode_start, train
 from ssmr_torch.models.integrators import rk4_step
 from ssmr_torch.models.neural_ode import NeuralODE
-from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.models.ssmr import SSMR, SSSR
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 FROZEN = ("chart", "parametrization", "linear", "control")
@@ -26,8 +26,8 @@ pytestmark = [pytest.mark.filterwarnings("ignore:.*does not have many workers"),
 
 
 def run(fit, dataset, tmp_path):
-    module = TrajectoryDataModule(dataset, validation_share=0.2, validation_horizon=0.3, rollout_horizon=0.3,
-                                  stride=3, starts=50).prepare(fit)
+    module = TrajectoryDataModule(dataset, transient=0.0, validation_share=0.2, validation_horizon=0.3,
+                                  rollout_horizon=0.3, stride=3, starts=50).prepare(fit)
     trainer = lightning.Trainer(max_epochs=fit.epochs, accelerator="cpu", logger=False, enable_progress_bar=False,
                                 enable_checkpointing=False, enable_model_summary=False, num_sanity_val_steps=0,
                                 default_root_dir=tmp_path)
@@ -37,14 +37,14 @@ def run(fit, dataset, tmp_path):
 
 def test_the_start_of_a_neural_ode_is_sssr(known, solve_stages):
     network = NeuralODE(2, 2, 4, 1)
-    linear = SSMR(2, 2, 4, 1)
+    linear = SSSR(2, 2, 4, 1)
     solve_stages(NeuralODEStart(network), known.dataset())
     solve_stages(SSMRLeastSquares(linear), known.dataset())
     window = 0.01 * torch.randn(6, 2, 4).double()
     network.state_scale.fill_(0.02)
     z, u = linear.encode(window), torch.randn(6, 2).double()
     torch.testing.assert_close(network.encode(window), z)
-    torch.testing.assert_close(network.rate(z, u), linear.rate(z, u))
+    torch.testing.assert_close(network.reduced.rate(z, u), linear.reduced.rate(z, u))
     torch.testing.assert_close(network.decode(z), linear.decode(z))
 
 
@@ -73,7 +73,7 @@ class Spring:
     def error(self, model):
         """Relative error of the spring's force, w's rate where w = 0, over the range of the data."""
         y = np.stack([np.linspace(-0.008, 0.008, 41), np.zeros(41)], axis=1)
-        found = model.drift(model.encode(torch.from_numpy(y)[:, None, :])) @ model.parametrization.T
+        found = model.reduced.drift(model.encode(torch.from_numpy(y)[:, None, :])) @ model.parametrization.T
         return np.linalg.norm(found.numpy()[:, 1] - self.drift(y)[:, 1]) / np.linalg.norm(self.drift(y)[:, 1])
 
 

@@ -52,12 +52,12 @@ def errors(solve_stages, degree, amplitude, observe, delays, calibration):
     with torch.no_grad():
         z = model.encode(window)
         exact = model.encode(torch.from_numpy(plant.window_rate(xi, delays)))
-        found = {"manifold": (model.decode_window(z) - window).flatten(1).norm(dim=1).max(),
-                 "drift": (model.drift(z) - exact).norm(dim=1).max()}
+        found = {"manifold": (model.reduced.decode_window(z) - window).flatten(1).norm(dim=1).max(),
+                 "drift": (model.reduced.drift(z) - exact).norm(dim=1).max()}
         if calibration is not None:
             unit = [plant.observe_slow_rate(xi, u) - plant.observe_slow_rate(xi) for u in np.eye(4)]
             field = torch.stack([model.encode(torch.from_numpy(column)[:, None]) for column in unit], dim=-1)
-            found["control field"] = (model.control_field(z) - field).flatten(1).norm(dim=1).max()
+            found["control field"] = (model.reduced.control_field(z) - field).flatten(1).norm(dim=1).max()
     return {name: float(value) for name, value in found.items()}
 
 

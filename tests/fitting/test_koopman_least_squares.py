@@ -43,7 +43,7 @@ def rows(runs, stride=1):
 def one_step(model, zeta, u):
     """Newest outputs one step after observables ζ in physical units."""
     z = model.lifting(torch.from_numpy(zeta) / model.scale)
-    return model.decode(model.advance(z, torch.from_numpy(u))).detach().numpy()
+    return model.decode(model.reduced.advance(z, torch.from_numpy(u))).detach().numpy()
 
 
 @pytest.mark.parametrize(("degree", "relift"), [(1, False), (2, False), (2, True)])
@@ -146,7 +146,7 @@ def test_the_constant_and_the_delayed_copies_are_exact_whatever_the_ridge(solve_
     run = runs[0]
     window = torch.from_numpy(np.array(run.observation[10:14]))
     inputs = torch.from_numpy(np.array(run.input[10:14]))
-    following = model.advance(model.encode(window[:3], inputs[:2]), inputs[2])
+    following = model.reduced.advance(model.encode(window[:3], inputs[:2]), inputs[2])
     expected = model.encode(window[1:], inputs[1:3])
     known = [0, *range(1 + 2, 1 + 10)]  # the constant, then what is delayed among the linear monomials
     torch.testing.assert_close(following[known], expected[known], rtol=1e-12, atol=1e-12)
@@ -196,7 +196,7 @@ def test_missing_runs_and_odd_timesteps_are_refused(solve_stages):
     model = Koopman(2, 2, input_delays=0, constant=False, pregain=True)
     with pytest.raises(ValueError, match="pregain stage found no rows: the training data hold no static runs"):
         solve_stages(KoopmanLeastSquares(model), pendulum_runs())
-    with pytest.raises(ValueError, match="0.025 s, 2.5 times the data's 0.01 s"):
+    with pytest.raises(ValueError, match="0.025 s and the data's 0.01 s, 2.5 times"):
         KoopmanLeastSquares(Koopman(2, 2, timestep=0.025)).sampled_every(0.01)
     with pytest.raises(ValueError, match="kinds is .*; expected some of"):
         KoopmanLeastSquares(Koopman(2, 2), kinds=("all",))

@@ -7,6 +7,7 @@ from torch.func import functional_call, jacrev
 from ssmr_torch.data.windows import RolloutBatch
 from ssmr_torch.fitting.rollout_sensitivities import GROUPS, coefficients, rollout_sensitivities
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
+from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.models.ssmr import SSMR
 
 MODELS = {
@@ -80,7 +81,7 @@ def test_the_coefficients_are_views_of_the_models_tables():
 
 
 def test_models_and_groups_without_tables_are_refused():
-    with pytest.raises(ValueError, match="Linear has no coefficient tables.*fit=rollout"):
-        coefficients(torch.nn.Linear(1, 1))
+    with pytest.raises(ValueError, match="Koopman has no coefficient tables.*fit=rollout"):
+        coefficients(Koopman(1, 1))
     with pytest.raises(ValueError, match="trained is .'manifold'.; expected some of"):
         coefficients(random(MODELS["continuous time"]), ("manifold",))

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from ssmr_torch.fitting.scaled_adam import ScaledAdam, table_scales
-from ssmr_torch.models.monomials import Monomials
+from ssmr_torch.models.monomials import graded
 from ssmr_torch.models.neural_ode import NeuralODE
 from ssmr_torch.models.ssmr import SSMR
 
@@ -79,8 +79,10 @@ def model():
 @torch.no_grad()
 def test_a_step_of_one_scale_changes_a_row_at_the_edge_of_the_data_by_as_much_as_the_row_is_large(model):
     edge = model.state_scale
-    features = {"drift_table": model.drift_features(edge), "parametrization": model.parametrization_features(edge),
-                "control_table": model.control_regressors(edge, torch.ones(2, dtype=torch.float64))}
+    joint = model.structure.dynamics(torch.cat([edge, torch.ones(2, dtype=torch.float64)]))
+    free = model.drift_table.shape[1]
+    features = {"drift_table": joint[:free], "parametrization": model.structure.parametrization(edge),
+                "control_table": joint[free:]}
     scales = table_scales(model)
     assert set(scales) == set(features)
     for name, monomials in features.items():
@@ -92,7 +94,7 @@ def test_a_step_of_one_scale_changes_a_row_at_the_edge_of_the_data_by_as_much_as
 @torch.no_grad()
 def test_scales_follow_the_units_of_length(model):
     """In millimetres a coefficient of degree d in a row of the drift is 1000^(1 - d) times that in metres."""
-    factors = torch.from_numpy(1000.0 ** (1 - Monomials(2, 1, 3).exponents.sum(1)))
+    factors = torch.from_numpy(1000.0 ** (1 - graded(2, 1, 3).exponents.sum(1)))
     metres = table_scales(model)["drift_table"]
     model.drift_table *= factors
     model.state_scale *= 1000

@@ -18,15 +18,14 @@ def run(samples=400, kind="controlled", amplitude=0.5):
 
 def spiral(growth, cubic=0.0, kind=SSMR):
     """ż = growth z + 5 J z + cubic z₁³ e₁, or the same by Euler steps, seen directly."""
-    options = {"dynamics_degree": 3, "timestep": 0.01}
-    model = kind(2, 1, 2, 0, **options)
+    options = {"parametrization_degree": 1, "substeps": 1} if kind is SSMR else {"input_degree": 3, "saturated": False}
+    model = kind(2, 1, 2, 0, dynamics_degree=3, timestep=0.01, **options)
     table = model.drift_table if kind is SSMR else model.dynamics_table
     with torch.no_grad():
         model.chart.copy_(torch.eye(2))
         model.parametrization[:, :2] = torch.eye(2)
         table[:, :2] = torch.tensor([[growth, -5.0], [5.0, growth]])
-        features = model.drift_features if kind is SSMR else model.dynamics_features
-        column = int(np.flatnonzero(features.monomials.exponents[:, 0] == 3)[0])
+        column = int(np.flatnonzero(model.structure.dynamics.exponents[:, 0] == 3)[0])
         table[0, column] = cubic
         model.state_scale.fill_(0.5)
     return model

@@ -27,7 +27,7 @@ from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 TRAINER = partial(lightning.Trainer, accelerator="cpu", devices=1, use_distributed_sampler=False,
                   enable_model_summary=False, enable_progress_bar=False)
-MODULE = partial(TrajectoryDataModule, rows=64, validation_horizon=0.1, starts=20)
+MODULE = partial(TrajectoryDataModule, transient=0.0, validation_share=0.1, rows=64, validation_horizon=0.1, starts=20)
 QUIET = {"progress": False}
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:lightning", "ignore:.*LeafSpec")

@@ -16,6 +16,7 @@ from ssmr_torch.fitting.gradient_fit import GradientFit
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.fitting.training import least_squares, load_model, save_model, train
 from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.models.torch_model import FixedModel
 from ssmr_torch.trajectory import TrajectoryDataset
 
 TRAINER = partial(lightning.Trainer, accelerator="cpu", devices=1, use_distributed_sampler=False,
@@ -96,7 +97,8 @@ def test_the_checkpoint_gives_back_the_model_to_the_bit_from_plain_values_only(w
     last, card = load_model(whole.checkpoint.parent / "checkpoints" / "closed_form" / "last.ckpt")
     assert_same_model(last, whole.model)
     assert card["output_names"] == ["a", "b", "c", "d"]
-    assert sorted(path.name for path in whole.checkpoint.parent.iterdir()) == ["checkpoints", "model.ckpt"]
+    assert sorted(path.name for path in whole.checkpoint.parent.iterdir()) == ["checkpoints", "model.ckpt",
+                                                                           "model.safetensors"]
 
 
 def test_a_save_that_is_interrupted_leaves_the_old_checkpoint_as_it_was(whole, tmp_path, monkeypatch):
@@ -211,7 +213,7 @@ def test_a_sampler_that_would_repeat_segments_is_refused():
 
 def perturbed(model, share=0.03):
     """The model with every coefficient of its dynamics off by up to this share."""
-    other = SSMR.from_tables(model.tables())
+    other = FixedModel(model.reduced.numpy())
     generator = torch.Generator().manual_seed(4)
     with torch.no_grad():
         for table in (other.drift_table, other.control_table):
@@ -267,6 +269,7 @@ from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.fitting.gradient_fit import GradientFit
 from ssmr_torch.fitting.training import least_squares, train
 from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.models.torch_model import FixedModel
 from ssmr_torch.trajectory import TrajectoryDataset
 
 train(TrajectoryDataset.load(sys.argv[1]), directory=sys.argv[2],
