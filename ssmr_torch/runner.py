@@ -18,13 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from ssmr_torch import artifact
+from ssmr_torch.defaults import keyword_defaults
 
 log = logging.getLogger(__name__)
 
 ROOMS = ("ssmr_torch.control.", "ssmr_torch.tasks.")
 REST_TOLERANCE = 1e-3  # m
-DEFAULT = {"controller": {"_target_": "ssmr_torch.control.mpc.ModelPredictiveController", "horizon": 5,
-                          "period": 0.02, "input_weight": 100.0, "first_iterations": 10},
+DEFAULT = {"controller": {"_target_": "ssmr_torch.control.mpc.ModelPredictiveController"},
            "task": {"_target_": "ssmr_torch.tasks.references.figure_eight", "tracked": ["tip_x", "tip_y"]}}
 
 
@@ -97,7 +97,8 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     if options.print_settings:
-        print(json.dumps(DEFAULT, indent=2))
+        print(json.dumps({part: chosen | keyword_defaults(chosen["_target_"]) | chosen
+                          for part, chosen in DEFAULT.items()}, indent=2))
         return 0
     try:
         _serve(options)

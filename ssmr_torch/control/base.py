@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
+from ssmr_torch.periods import whole_multiple
 from ssmr_torch.status import Status
 
 if TYPE_CHECKING:
@@ -47,8 +48,4 @@ class Controller(Protocol):
 
 def whole_steps(name: str, time: float, timestep: float) -> int:
     """How many measurements `timestep` s apart `time` s take. Raises ValueError when that is no whole number."""
-    ratio = time / timestep
-    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
-        raise ValueError(f"{name} is {time} s and the timestep of the measurements {timestep} s, "
-                         f"{ratio:.6g} times; expected a whole multiple: change one of the two")
-    return round(ratio)
+    return whole_multiple(name, time, "the timestep of the measurements", timestep)

@@ -26,7 +26,7 @@ class StaticPregainController:
     one, or with `horizon` N the first of the finite-horizon recursion over N steps; a constant among the states, which
     is the same in z and ẑ, is left out of it.
 
-    model: NumPy `KoopmanTables` without bilinear terms, of degree one and with a pregain. task, input_bounds, timestep,
+    model: a `PregainModel` without bilinear terms and of degree one, such as that of a `StaticPregainKoopman`. task, input_bounds, timestep,
     period, output_weight (1/m²), input_weight (1/N²), safe_input: as in `ModelPredictiveController`.
     A measurement that is not finite, or that leads to an input that is not, gives safe_input; `fallbacks` counts it.
     Raises ValueError for another model, or a period that is no multiple of the timestep.
@@ -36,7 +36,8 @@ class StaticPregainController:
     def __init__(self, model, task, input_bounds, *, timestep: float | None = None, output_names=None,
                  period: float = Predictive.period, output_weight: float = Predictive.output_weight,
                  input_weight: float = Predictive.input_weight, horizon: int | None = None, safe_input=None):
-        if not len(getattr(model, "pregain", ())) or len(model.N) or model.degree > 1:
+        model = model.reduced
+        if not len(getattr(model, "pregain", ())) or not model.affine or model.structure.chart.highest > 1:
             raise ValueError("this controller takes a linear Koopman model with a pregain; train one with "
                              "model=koopman_lqr on data with static runs")
         self.timestep = float(model.window_timestep if timestep is None else timestep)
@@ -49,10 +50,10 @@ class StaticPregainController:
         weight = np.zeros(model.output_dim)
         weight[self.columns] = output_weight
         A, B, _ = model.at_timestep(period).linearize(np.zeros(model.state_dim), np.zeros(model.input_dim))
-        varying = slice(int(model.constant), None)
-        C = model.read_out[:, varying]
+        varying = ~model.constant_states
+        C = model.linearize_output(np.zeros(model.state_dim)).C[:, varying]
         self.gain = np.zeros((model.input_dim, model.state_dim))
-        self.gain[:, varying] = regulator_gain(A[varying, varying], B[varying], C.T @ (weight[:, None] * C),
+        self.gain[:, varying] = regulator_gain(A[varying][:, varying], B[varying], C.T @ (weight[:, None] * C),
                                                input_weight * np.eye(model.input_dim), horizon)
         safe = np.clip(0.0, *self.bounds) if safe_input is None else np.array(safe_input, dtype=np.float64)
         if safe.shape != (model.input_dim,) or not ((self.bounds[0] <= safe) & (safe <= self.bounds[1])).all():

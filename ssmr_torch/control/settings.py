@@ -76,6 +76,7 @@ class PredictiveControlSettings(Settings):
         if self.violation_weight is not None and (len(self.violation_weight) != 2 or min(self.violation_weight) < 0):
             raise ValueError(f"violation_weight is {self.violation_weight}; expected two numbers, 1/m and 1/m², none "
                              "negative")
+        self._set("observer", self.observer or None)  # observer=none of the configuration is empty
         if self.observer is not None and not callable(self.observer):
             raise ValueError(f"observer is {self.observer!r}; expected what makes one of a model and the input range, "
                              "such as a partial KalmanObserver, or None")

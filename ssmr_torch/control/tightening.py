@@ -43,7 +43,7 @@ def _errors(model, run, columns, spacing, step, horizon, stride) -> np.ndarray:
     back = starts[:, None] + spacing * np.arange(-model.delays, 1)
     ahead = starts[:, None] + np.arange(horizon * step)
     with np.errstate(over="ignore", invalid="ignore"):
-        states = model.rollout(model.encode(observation[back], inputs[back[:, :-1]]), inputs[ahead])
+        states = model.rollout(model.encode(observation[back], inputs[back[:, :-1]]), inputs[ahead]).states
         predicted = model.decode(states[:, step::step])[..., columns]
     measured = observation[starts[:, None] + step * np.arange(1, horizon + 1)][..., columns]
     return np.linalg.norm(predicted - measured, axis=-1)

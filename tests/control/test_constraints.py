@@ -26,8 +26,8 @@ def constraints_with(obstacles=(), **options):
 
 def problem_of(bench, constraints, **changes):
     settings = {"reference": lambda time: np.tile([0.012, 0.0, 0, 0, 0, 0], (len(time), 1)),
-                "input_bounds": bench.BOUNDS, "output_weight": 1e8 * np.array([1, 1, 0, 0, 0, 0]), "horizon": N,
-                "constraints": constraints}
+                "input_bounds": bench.BOUNDS, "output_weight": 1e8 * np.array([1, 1, 0, 0, 0, 0]),
+                "input_weight": 10.0, "horizon": N, "constraints": constraints}
     return TrackingProblem(**settings | changes)
 
 
@@ -113,7 +113,7 @@ def test_the_robot_goes_around_obstacles_that_stand_and_that_move(bench, qp):
     moving = Circle(drifting((0.02, -0.02), (-0.01, 0.01)), 0.004)
     obstacles = (*random_circles(1), moving, HalfPlane((0.0, 1.0), 0.012))
     task = replace(figure_eight(laps=1.0), obstacles=obstacles)
-    plant = bench.TablesPlant(bench.oscillators())
+    plant = bench.ModelPlant(bench.oscillators())
     controller = ModelPredictiveController(plant.model, task, bench.BOUNDS, horizon=5, qp=qp)
     record = simulate(plant, controller, task)
     clearance = np.stack([o.clearance(record.time, record.observation[:, :2]) for o in obstacles])
@@ -147,7 +147,7 @@ def test_margins_keep_the_robot_that_much_further_away(bench):
     circle = Circle((0.0106, -0.0125), 0.004)
     task, found = replace(figure_eight(laps=1.0), obstacles=(circle,)), []
     for margin in (0.0, 0.001):
-        plant = bench.TablesPlant(bench.oscillators())
+        plant = bench.ModelPlant(bench.oscillators())
         controller = ModelPredictiveController(plant.model, task, bench.BOUNDS, margins=np.full(5, margin))
         record = simulate(plant, controller, task)
         found.append(circle.clearance(record.time, record.observation[:, :2]).min())
@@ -169,7 +169,7 @@ def test_a_control_step_later_each_variable_and_row_continues_its_like_one_stage
     constraints = OutputConstraints(2, 3, (0, 1), [HalfPlane((1.0, 0.0), 0.02), Circle((0.0, 0.03), 0.01),
                                                    Circle((0.0, -0.03), 0.01)], linear=1e7, quadratic=1e9)
     problem = TrackingProblem(lambda time: np.zeros((len(time), 2)), np.array([[0.0, 0.0], [1.0, 1.0]]),
-                              1e8 * np.ones(2), input_rate=1.0, horizon=3, constraints=constraints)
+                              1e8 * np.ones(2), 10.0, input_rate=1.0, horizon=3, constraints=constraints)
     variables, rows = problem.continuation
     np.testing.assert_array_equal(variables, [2, 3, 4, 5, 4, 5, 9, 10, 11, 12, 13, 14, 12, 13, 14])
     np.testing.assert_array_equal(rows, [2, 3, 2, 3, 7, 8, 9, 10, 11, 12, 10, 11, 12])

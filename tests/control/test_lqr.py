@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 
 from ssmr_torch.closed_loop import simulate
 from ssmr_torch.control.lqr import STATE_WEIGHT, StaticPregainController, completion, regulator_gain
-from ssmr_torch.models.koopman_tables import KoopmanTables
+from ssmr_torch.models.structures import koopman
 from ssmr_torch.status import Status
 from ssmr_torch.tasks.references import figure_eight
 
@@ -26,14 +26,14 @@ def damped_masses(**changes):
                "degree": 1, "input_delays": 0, "constant": False,
                "state_scale": np.full(4, 0.05), "input_dim": 2, "output_dim": 2, "delays": 1, "timestep": 0.01,
                "window_timestep": 0.01, "base_timestep": 0.01}
-    return KoopmanTables(**options | changes)
+    return koopman(**options | changes)
 
 
 def three_masses(set_points):
     """The same two masses, and a third output that rests."""
     two = damped_masses()
     A, B = np.zeros((6, 6)), np.zeros((6, 2))
-    A[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])], B[[0, 1, 3, 4]] = two.A, two.B
+    A[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])], B[[0, 1, 3, 4]] = two.dynamics[:, :4], two.dynamics[:, 4:]
     return damped_masses(scale=np.ones(6), A=A, B=B, N=np.zeros((0, 6, 6)), state_scale=np.full(6, 0.05), output_dim=3,
                          pregain=np.hstack([two.pregain, [[50.0], [-20.0]]]), set_points=set_points)
 
@@ -132,8 +132,8 @@ def test_outputs_that_the_task_leaves_free_are_those_of_set_points_on_average_an
 
 def test_a_constant_among_the_states_changes_no_input():
     linear = damped_masses()
-    affine = damped_masses(A=np.block([[np.eye(1), np.zeros((1, 4))], [np.zeros((4, 1)), linear.A]]),
-                           B=np.vstack([np.zeros(2), linear.B]), N=np.zeros((0, 5, 5)), constant=True,
+    affine = damped_masses(A=np.block([[np.eye(1), np.zeros((1, 4))], [np.zeros((4, 1)), linear.dynamics[:, :4]]]),
+                           B=np.vstack([np.zeros(2), linear.dynamics[:, 4:]]), N=np.zeros((0, 5, 5)), constant=True,
                            state_scale=np.r_[1.0, linear.state_scale])
     one, other = (StaticPregainController(model, TASK, BOUNDS, output_names=NAMES) for model in (linear, affine))
     for k, measured in enumerate(0.01 * np.random.default_rng(0).uniform(-1, 1, (20, 2))):

@@ -7,22 +7,20 @@ import pytest
 
 from ssmr_torch.closed_loop import simulate
 from ssmr_torch.control.any_qp import QPSolvers
-from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.control.proxqp import ProxQP
 from ssmr_torch.control.qp import QPSolution
-from ssmr_torch.models.koopman_tables import KoopmanTables
+from ssmr_torch.control.solvers.proxqp import ProxQP
+from ssmr_torch.models.structures import koopman, ssm_structure
 from ssmr_torch.status import Status
 from ssmr_torch.tasks.references import Task, figure_eight
 
 
 def controller_of(bench, task=None, model=None, **settings):
-    return ModelPredictiveController(model or bench.oscillators(), task or figure_eight(laps=2.0),
-                                     bench.BOUNDS, **settings)
+    return bench.predictive(model or bench.oscillators(), task or figure_eight(laps=2.0), bench.BOUNDS, **settings)
 
 
 def run(controller, bench, samples, observe=lambda k, y: y):
     """Commands along the first samples of the task, with observations changed by `observe`."""
-    plant, commands = bench.TablesPlant(bench.perturbed(bench.oscillators(), 0.03)), []
+    plant, commands = bench.ModelPlant(bench.perturbed(bench.oscillators(), 0.03)), []
     observation = plant.reset()
     for k in range(samples):
         commands.append(controller(k * plant.timestep, observe(k, observation)))
@@ -33,7 +31,7 @@ def run(controller, bench, samples, observe=lambda k, y: y):
 @pytest.mark.parametrize("horizon, share", [(5, 1.02), (10, 1.02)])
 def test_one_program_per_step_costs_at_most_two_percent_more_than_convergence(bench, horizon, share):
     task, costs = figure_eight(laps=2.0, ramp=0.5), []
-    plant = bench.TablesPlant(bench.perturbed(bench.oscillators(), 0.03))
+    plant = bench.ModelPlant(bench.perturbed(bench.oscillators(), 0.03))
     for settings in ({}, {"iterations": 30, "tolerance": 1e-10}):
         controller = controller_of(bench, task, horizon=horizon, **settings)
         record = simulate(plant, controller, task, noise_std=3e-5)
@@ -44,7 +42,7 @@ def test_one_program_per_step_costs_at_most_two_percent_more_than_convergence(be
 
 def test_the_plant_follows_the_figure_eight_within_a_twentieth_of_its_size(bench):
     task = figure_eight(amplitude=0.010, laps=2.0)
-    plant = bench.TablesPlant(bench.perturbed(bench.oscillators(), 0.03))
+    plant = bench.ModelPlant(bench.perturbed(bench.oscillators(), 0.03))
     record = simulate(plant, controller_of(bench, task), task)
     assert np.sqrt(np.mean(np.sum(record.error**2, axis=1))) < 0.010 / 20
 
@@ -131,6 +129,10 @@ class Recorder:
     def __init__(self, model):
         self.model, self.windows = model, []
 
+    @property
+    def reduced(self):
+        return self
+
     def __getattr__(self, name):
         return getattr(self.model, name)
 
@@ -141,8 +143,9 @@ class Recorder:
 
 def test_the_window_holds_the_samples_and_inputs_at_the_spacing_of_the_model(bench):
     base = bench.oscillators(0, 1, 0)
-    model = replace(base, chart=np.hstack([np.zeros((6, 12)), np.eye(6)]), delays=2, window_timestep=0.02,
-                    parametrization=np.vstack([np.eye(6)] * 3))
+    structure = ssm_structure(6, 4, 18, parametrization_degree=1, dynamics_degree=1, control_degree=0, chart_degree=1)
+    model = replace(base, structure=structure, chart=np.hstack([np.zeros((6, 12)), np.eye(6)]), delays=2,
+                    window_timestep=0.02, parametrization=np.vstack([np.eye(6)] * 3))
     recorder = Recorder(model)
     controller = controller_of(bench, model=recorder, timestep=0.01)
     recorder.windows.clear()
@@ -155,14 +158,14 @@ def test_the_window_holds_the_samples_and_inputs_at_the_spacing_of_the_model(ben
 
 def test_a_model_that_steps_by_two_samples_is_controlled_all_the_same(bench):
     A, B, _ = bench.oscillators(0, 1, 0).at_timestep(0.02).linearize(np.zeros(6), np.zeros(4))
-    model = KoopmanTables(scale=np.ones(6), A=A, B=B, N=np.zeros((0, 6, 6)), pregain=np.zeros((0, 7)),
+    model = koopman(scale=np.ones(6), A=A, B=B, N=np.zeros((0, 6, 6)), pregain=np.zeros((0, 7)),
                           set_points=np.zeros((0, 7)), degree=1, input_delays=0, constant=False,
                           state_scale=np.full(6, 0.04), input_dim=4, output_dim=6, delays=0, timestep=0.02,
                           window_timestep=0.01, base_timestep=0.02)
     task = figure_eight(amplitude=0.008, laps=1.0)
-    record = simulate(bench.TablesPlant(bench.oscillators(0, 1, 0)), controller_of(bench, task, model), task)
+    record = simulate(bench.ModelPlant(bench.oscillators(0, 1, 0)), controller_of(bench, task, model), task)
     assert np.abs(record.error).max() < 0.001 and not record.fallback.any()
-    with pytest.raises(ValueError, match="0.01 s is 0.5 steps"):
+    with pytest.raises(ValueError, match="0.01 s and the timestep .* 0.5 times"):
         controller_of(bench, task, model, measurement_delay=0.01)
 
 

@@ -21,7 +21,7 @@ def seen_in_part(model):
     """Of the three coordinates and their rates the coordinates are measured: two samples make the state."""
     h = model.timestep
     newest = np.hstack([np.eye(3), np.zeros((3, 3))])
-    omega = np.diag(model.drift[:3, 3:6])
+    omega = np.diag(model.dynamics[:3, 3:6])
     older = np.hstack([np.eye(3), -h * np.diag(omega)])
     window = np.vstack([older, newest])
     return replace(model, chart=np.linalg.inv(window), parametrization=window, output_dim=3, delays=1)
@@ -32,9 +32,9 @@ class LoadedPlant:
 
     def __init__(self, bench, load=0.12, stiffness=1.05):
         model = bench.oscillators(degree=2)
-        drift = model.drift.copy()
-        drift[3:, :3] *= stiffness
-        self.inner = bench.TablesPlant(replace(model, drift=drift), bench.BOUNDS + [[-1.0], [1.0]])
+        dynamics = model.dynamics.copy()
+        dynamics[3:, :3] *= stiffness
+        self.inner = bench.ModelPlant(replace(model, dynamics=dynamics), bench.BOUNDS + [[-1.0], [1.0]])
         self.load, self.timestep, self.input_bounds = load * np.array([1.0, 0.0, 0.0, 0.5]), 0.01, bench.BOUNDS
         self.name, self.input_unit = "loaded", "N"
         self.output_names, self.input_names, self.rest = ("x", "y", "z"), self.inner.input_names, np.zeros(3)
@@ -52,7 +52,8 @@ class LoadedPlant:
 
 def held(bench, observer, **settings):
     model = seen_in_part(bench.oscillators(degree=2))
-    controller = ModelPredictiveController(model, HOLD, bench.BOUNDS, observer=observer, input_weight=100.0, **settings)
+    controller = ModelPredictiveController(model, HOLD, bench.BOUNDS, observer=observer, first_iterations=3,
+                                           **settings)
     record = simulate(LoadedPlant(bench), controller, HOLD, noise_std=NOISE)
     return np.abs(record.error[-200:].mean(0)).max(), controller
 
@@ -109,8 +110,8 @@ def test_a_fifth_of_the_measurements_missing_is_bridged_by_the_filter_and_by_the
     model, task = bench.oscillators(), figure_eight(amplitude=0.008, laps=1.0)
     errors = {}
     for name, observer in (("chart", None), ("filter", partial(KalmanObserver, disturbance="none", extended=True))):
-        controller = ModelPredictiveController(model, task, bench.BOUNDS, observer=observer)
-        record = simulate(dropping(bench.TablesPlant(bench.perturbed(model, 0.03)), 0.2), controller, task,
+        controller = bench.predictive(model, task, bench.BOUNDS, observer=observer)
+        record = simulate(dropping(bench.ModelPlant(bench.perturbed(model, 0.03)), 0.2), controller, task,
                           noise_std=NOISE)
         missing = np.isnan(record.measurement).any(1)
         assert 0.1 < missing.mean() < 0.3 and np.isfinite(record.input).all()
@@ -147,8 +148,8 @@ class LatePlant:
 def test_measurements_that_are_known_to_be_late_are_brought_up_to_date_by_the_model(bench):
     model, task, errors = bench.oscillators(), figure_eight(amplitude=0.008, laps=1.0), []
     for delay in (0.0, 0.03):
-        controller = ModelPredictiveController(model, task, bench.BOUNDS, measurement_delay=delay)
-        record = simulate(LatePlant(bench.TablesPlant(bench.perturbed(model, 0.03)), 3), controller, task)
+        controller = bench.predictive(model, task, bench.BOUNDS, measurement_delay=delay)
+        record = simulate(LatePlant(bench.ModelPlant(bench.perturbed(model, 0.03)), 3), controller, task)
         errors.append(np.sqrt(np.mean(np.sum(record.error**2, axis=1))))
     assert errors[1] < errors[0] / 4 and errors[1] < 0.008 / 15
     with pytest.raises(ValueError, match="measurement_delay is 0.015 s.*0.01 s"):
@@ -157,7 +158,7 @@ def test_measurements_that_are_known_to_be_late_are_brought_up_to_date_by_the_mo
 
 def test_a_frozen_sensor_is_noticed_counted_and_forgiven(bench):
     model, task = bench.oscillators(), figure_eight(laps=1.0)
-    controller, plant = ModelPredictiveController(model, task, bench.BOUNDS), bench.TablesPlant(bench.oscillators())
+    controller, plant = ModelPredictiveController(model, task, bench.BOUNDS), bench.ModelPlant(bench.oscillators())
     observation, commands, seen = plant.reset(), [], None
     for k in range(120):
         seen = seen if 60 <= k < 80 else observation
@@ -179,7 +180,7 @@ def test_a_robot_that_stands_still_is_not_a_frozen_sensor(bench):
 def test_a_prepared_step_costs_what_an_unprepared_one_does(bench):
     model, task, costs = bench.oscillators(), figure_eight(laps=2.0, ramp=0.5), []
     for prepare in (False, True):
-        plant = bench.TablesPlant(bench.perturbed(model, 0.03))
+        plant = bench.ModelPlant(bench.perturbed(model, 0.03))
         controller = ModelPredictiveController(model, task, bench.BOUNDS)
         rng, observation, cost, condensed = np.random.default_rng(0), plant.reset(), 0.0, []
         condense = controller.horizon.condense

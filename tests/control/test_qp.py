@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from proxsuite import proxqp
 from scipy.optimize import nnls
 
 from ssmr_torch.control.any_qp import QPSolvers
-from ssmr_torch.control.proxqp import PROXQP_STATUS, ProxQP
 from ssmr_torch.control.qp import QPSolution, QuadraticProgram
+from ssmr_torch.control.solvers.proxqp import PROXQP_STATUS, ProxQP, proxqp
 from ssmr_torch.status import Status
 
 D, ROWS = 8, 5

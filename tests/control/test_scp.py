@@ -6,7 +6,7 @@ from scipy.optimize import minimize
 
 from ssmr_torch.control.horizon import horizon_for
 from ssmr_torch.control.problem import TrackingProblem
-from ssmr_torch.control.proxqp import ProxQP
+from ssmr_torch.control.solvers.proxqp import ProxQP
 from ssmr_torch.control.qp import QPSolution
 from ssmr_torch.control.scp import solve_scp
 from ssmr_torch.status import Status
@@ -17,7 +17,7 @@ N = 6
 def problem_of(bench, **changes):
     settings = {"reference": lambda time: 0.012 * np.sin(8 * time[:, None] + np.arange(6)),
                 "input_bounds": bench.BOUNDS, "output_weight": 1e8 * np.array([1, 1, 0, 0, 0, 0]),
-                "horizon": N}
+                "input_weight": 10.0, "horizon": N}
     return TrackingProblem(**settings | changes)
 
 

@@ -15,7 +15,7 @@ from ssmr_torch.trajectory import Trajectory
 
 def run_of(model, bench, samples=600, seed=0):
     """The plant under inputs that change every tenth sample."""
-    rng, plant = np.random.default_rng(seed), bench.TablesPlant(model)
+    rng, plant = np.random.default_rng(seed), bench.ModelPlant(model)
     inputs = np.repeat(rng.uniform(0, 0.3, (samples // 10, 4)), 10, axis=0)
     observation = [plant.reset(), *(plant.step(u) for u in inputs[:-1])]
     return Trajectory(0.01 * np.arange(samples), np.stack(observation), inputs)
@@ -34,7 +34,8 @@ def test_the_margin_is_the_quantile_of_the_errors_of_prediction(bench):
     model, off = bench.oscillators(), bench.perturbed(bench.oscillators(), 0.03)
     run, errors = run_of(model, bench), []
     for start in range(0, 600 - 6, 5):
-        states = off.rollout(off.encode(run.observation[start:start + 1], run.input[:0]), run.input[start:start + 6])
+        state = off.encode(run.observation[start:start + 1], run.input[:0])
+        states = off.states(state, run.input[start:start + 6])
         errors.append(np.linalg.norm(states[6, :2] - run.observation[start + 6, :2]))
     found = prediction_margins(off, [run], (0, 1), horizon=3, period=0.02, quantile=0.9)
     assert found[2] == pytest.approx(np.quantile(errors, 0.9), rel=1e-12)
@@ -47,7 +48,7 @@ def test_with_margins_a_wrong_model_stays_out_of_the_obstacle_that_it_enters_wit
     margins = prediction_margins(wrong, [run_of(model, bench)], (0, 1), horizon=5, period=0.02, quantile=0.99)
     for given in (None, margins):
         controller = ModelPredictiveController(wrong, task, bench.BOUNDS, margins=given)
-        record = simulate(bench.TablesPlant(model), controller, task)
+        record = simulate(bench.ModelPlant(model), controller, task)
         depth.append(-circle.clearance(record.time, record.observation[:, :2]).min())
     assert depth[0] > 1e-5 and depth[1] < 0.5 * depth[0]
 

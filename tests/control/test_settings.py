@@ -1,0 +1,72 @@
+"""Claims about the settings of predictive control: one set of them, checked once, wherever they come from."""
+
+import json
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from ssmr_torch import configuration, runner
+from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.control.settings import PredictiveControlSettings
+from ssmr_torch.tasks.references import figure_eight
+
+NAMES = [field.name for field in fields(PredictiveControlSettings)]
+TASK = figure_eight(laps=1.0)
+
+
+@pytest.mark.parametrize(("changes", "said"), [
+    ({"horizon": 2.5}, "horizon is 2.5; expected a whole number, 1 or more"), ({"horizon": 0}, "horizon is 0"),
+    ({"horizon": True}, "horizon is True"), ({"horizon": "5"}, "horizon is '5'"),
+    ({"first_iterations": 1.5}, "first_iterations is 1.5"), ({"iterations": 0}, "iterations is 0"),
+    ({"frozen_after": -1}, "frozen_after is -1; expected a whole number, 0 or more"),
+    ({"range_factor": np.nan}, "range_factor is nan; expected a positive, finite number"),
+    ({"range_factor": 0}, "range_factor is 0"), ({"range_factor": -1.0}, "range_factor is -1.0"),
+    ({"period": np.nan}, "period is nan s"), ({"period": 0.0}, "period is 0.0 s"),
+    ({"tolerance": 0.0}, "tolerance is 0.0"), ({"output_weight": np.inf}, "output_weight is inf 1/m²"),
+    ({"terminal_weight": -1.0}, "terminal_weight is -1.0 1/m²; expected a finite number, 0 or more"),
+    ({"measurement_delay": np.nan}, "measurement_delay is nan s"),
+    ({"input_weight": [1.0, 0.0]}, r"input_weight\[1\] is 0.0 1/N²"), ({"input_weight": None}, "not unique"),
+    ({"input_rate": [np.nan]}, r"input_rate\[0\] is nan N/s"), ({"margins": [np.nan]}, "margins is"),
+    ({"safe_input": 0.0}, "safe_input is 0.0; expected a list of numbers, or None"),
+    ({"violation_weight": [1.0]}, "expected two numbers"), ({"observer": "kalman"}, "observer is 'kalman'"),
+])
+def test_what_makes_no_sense_is_refused_with_what_was_given_and_what_was_expected(changes, said):
+    with pytest.raises(ValueError, match=said):
+        PredictiveControlSettings(**changes)
+
+
+def test_an_unknown_name_is_refused_with_the_nearest_right_one(bench):
+    with pytest.raises(TypeError, match="no horizn; did you mean horizon"):
+        PredictiveControlSettings().changed(horizn=3)
+    with pytest.raises(TypeError, match="no input_weigth; did you mean input_weight"):
+        ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS, input_weigth=3.0)
+
+
+def test_settings_and_changes_by_name_are_the_same(bench):
+    settings = PredictiveControlSettings(horizon=3, input_weight=[1.0, 2.0, 3.0, 4.0], output_bounds=[[-1.0] * 6,
+                                                                                                      [1.0] * 6])
+    whole = ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS, settings)
+    part = ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS, settings.changed(horizon=4), horizon=3)
+    by_name = ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS, horizon=3,
+                                        input_weight=np.arange(1.0, 5.0), output_bounds=np.array([[-1.0], [1.0]])
+                                        * np.ones(6))
+    assert whole.settings == part.settings == by_name.settings and hash(settings) == hash(by_name.settings)
+
+
+def test_constructor_configuration_and_runner_have_the_same_settings(bench):
+    made = ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS)
+    composed = configuration.built(configuration.composed("control").controller)(bench.oscillators(), TASK,
+                                                                                 bench.BOUNDS)
+    served = runner.build(json.loads(json.dumps(runner.DEFAULT["controller"])), bench.oscillators(), TASK, bench.BOUNDS)
+    assert made.settings == composed.settings == served.settings == PredictiveControlSettings()
+
+
+def test_every_setting_can_be_changed_on_the_command_line_but_the_observer_which_is_a_group():
+    config = configuration.composed("control").controller
+    assert set(NAMES) - {"observer"} <= set(config)
+
+
+def test_every_setting_is_explained():
+    described = PredictiveControlSettings.__doc__.replace("\n", " ")
+    assert all(f"{name}:" in described for name in NAMES)
