@@ -17,6 +17,7 @@ from ssmr_torch import __version__
 from ssmr_torch import data_sheet as sheet
 from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.evaluation.metrics import SETTLING_TIME, max_tracking_error, tracking_rmse
+from ssmr_torch.periods import whole_multiple
 
 ARRAYS = ("time", "reference", "observation", "measurement", "input", "fallback", "solve_time", "iterations")
 FORMAT = "ssmr_torch closed loop 1"
@@ -127,10 +128,7 @@ def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, 
     observation (p,) m, measurement (p,) m, the Command, and the s that it took to compute; what it raises ends the run.
     Raises ValueError when the control period is not a multiple of the plant's timestep.
     """
-    ratio = controller.period / plant.timestep
-    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
-        raise ValueError(f"the control period {controller.period} s is {ratio:.6g} times the plant's "
-                         f"timestep {plant.timestep} s; expected a whole multiple")
+    _ = whole_multiple("the control period", controller.period, "the plant's timestep", plant.timestep)
     if not noise_std >= 0:
         raise ValueError(f"noise_std is {noise_std} m; expected zero or more")
     time = plant.timestep * np.arange(int(np.ceil(task.duration / plant.timestep - 1e-9)) + 1)

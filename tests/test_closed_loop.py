@@ -7,7 +7,7 @@ import pytest
 from ssmr_torch.closed_loop import ClosedLoopRecord, simulate
 from ssmr_torch.control.base import Command
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.models.polynomial_tables import PolynomialTables
+from ssmr_torch.models.structures import spectral_submanifold
 from ssmr_torch.plants.rig import Rig
 from ssmr_torch.status import Status
 from ssmr_torch.tasks.references import Task
@@ -15,7 +15,7 @@ from ssmr_torch.tasks.references import Task
 
 def integrator(gain=1.0):
     """dz/dt = gain u on the output itself; of a window with one delay the newest sample counts."""
-    return PolynomialTables(
+    return spectral_submanifold(
         chart=np.hstack([np.zeros((2, 2)), np.eye(2)]), parametrization=np.vstack([np.eye(2)] * 2),
         drift=np.zeros((2, 2)), control=gain * np.eye(2), state_scale=np.full(2, 0.1), chart_degree=1,
         parametrization_degree=1, dynamics_degree=1, control_degree=0, input_dim=2, output_dim=2, delays=1,
@@ -176,7 +176,7 @@ def test_another_file_is_refused(tmp_path):
 def test_a_period_that_the_plant_cannot_keep_is_refused():
     controller = Proportional(TASK)
     controller.period = 0.015
-    with pytest.raises(ValueError, match="0.015 s is 1.5 times the plant's timestep 0.01 s"):
+    with pytest.raises(ValueError, match="0.015 s and the plant's timestep 0.01 s, 1.5 times"):
         simulate(Plant(), controller, TASK)
     with pytest.raises(ValueError, match="noise_std"):
         simulate(Plant(), Proportional(TASK), TASK, noise_std=-1.0)

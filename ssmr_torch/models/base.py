@@ -172,7 +172,7 @@ class Model(DataSheet, ABC):
         """First-order expansion of `step`, batched over the leading dimensions."""
 
     def step_jacobians(self, z: Array, u: Array) -> tuple[Array, Array, Array]:
-        """`step`, ∂z⁺/∂z (..., n, n) and ∂z⁺/∂u (..., n, m); a family that has them without `linearize` overrides it."""
+        """`step`, ∂z⁺/∂z (..., n, n) and ∂z⁺/∂u (..., n, m); a family that has them at hand overrides it."""
         A, B, _ = self.linearize(z, u)
         return self.step(z, u), A, B
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ssmr_torch.keywords import configurable
+from ssmr_torch.periods import whole_multiple
 from ssmr_torch.plants.base import Plant, PlantSheet, finite_vector
 
 DROPPED = ("held", "missing")
@@ -220,11 +221,7 @@ def _probability(value: float) -> float:
 
 
 def _samples(delay: float, timestep: float) -> int:
-    ratio = delay / timestep
-    if abs(ratio - round(ratio)) > 1e-6:
-        raise ValueError(f"sensor_delay is {delay} s, {ratio:.6g} times the plant's timestep {timestep} s; "
-                         "expected a whole multiple: change one of the two")
-    return round(ratio)
+    return whole_multiple("sensor_delay", delay, "the plant's timestep", timestep) if delay else 0
 
 
 def _limit(name: str, value, plant: Plant, unit: str) -> np.ndarray | None:
