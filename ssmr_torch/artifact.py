@@ -25,7 +25,8 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save_file
 
-from ssmr_torch.models.base import Model, named
+from ssmr_torch.lazy import found
+from ssmr_torch.models.base import Model
 
 FORMAT = "ssmr_torch artifact 3"
 # Kinds of the format before, of versions up to 0.7: what takes their tables.
@@ -108,7 +109,7 @@ def load(directory: str | Path) -> Artifact:
     if card["format"] == BEFORE:
         # a setting that is newer than the artifact has a default: what it was then
         settings = {name: value for name, value in card["model"].items() if name != "state_dim"}
-        model = named(KINDS_BEFORE[card["kind"]])(**load_file(directory / "tables.safetensors"), **settings)
+        model = found(KINDS_BEFORE[card["kind"]])(**load_file(directory / "tables.safetensors"), **settings)
     else:
         model = _load_tables(directory / "tables.safetensors")[0]
     _replay(directory, model)
@@ -164,7 +165,7 @@ def _load_tables(path: Path) -> tuple[Model, dict[str, str]]:
     if not {"class", "plain"} <= noted.keys():
         raise ValueError(f"{path} does not say which model its tables belong to; export the model again")
     try:
-        family = named(noted["class"])
+        family = found(noted["class"])
     except (ImportError, AttributeError, ValueError) as error:
         raise ValueError(f"{path} holds a model of {noted['class']}, which is not installed here ({error}); install "
                          "its package") from error
@@ -206,11 +207,11 @@ def common_outputs(artifacts: list[Artifact]) -> list[str]:
 def check_source(loaded: Artifact, source) -> None:
     """Raises ValueError when a plant's or dataset's outputs, inputs or input unit are not those of the training."""
     card = loaded.card
-    for what, trained, found in (("outputs", card["output_names"], list(source.output_names)),
+    for what, trained, given in (("outputs", card["output_names"], list(source.output_names)),
                                  ("inputs", card["input_names"], list(source.input_names)),
                                  ("input unit", card["units"]["input"], source.input_unit)):
-        if trained != found:
-            raise ValueError(f"the model was trained with {what} {trained}, here they are {found}; "
+        if trained != given:
+            raise ValueError(f"the model was trained with {what} {trained}, here they are {given}; "
                              "use the plant or data that it was trained on, or train again")
 
 
@@ -252,10 +253,10 @@ def _predict(model: Model, reference: dict[str, np.ndarray]) -> dict[str, np.nda
     z, u, window = reference["state"], reference["input"], reference["window"]
     A, B, c = model.linearize(z, u)
     C, d = model.linearize_output(z)
-    found = {"encoded": model.encode(window, reference["window_input"]), "decoded": model.decode(z),
-             "following": model.step(z, u), "A": A, "B": B, "c": c, "C": C, "d": d}
+    predicted = {"encoded": model.encode(window, reference["window_input"]), "decoded": model.decode(z),
+                 "following": model.step(z, u), "A": A, "B": B, "c": c, "C": C, "d": d}
     # a broadcast view would be stored as what lies behind it
-    return {name: np.ascontiguousarray(array) for name, array in found.items()}
+    return {name: np.ascontiguousarray(array) for name, array in predicted.items()}
 
 
 def _replay(directory: Path, model: Model) -> None:

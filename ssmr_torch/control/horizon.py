@@ -13,7 +13,7 @@ import numpy as np
 
 from ssmr_torch.control import condensing, kernel
 from ssmr_torch.control.problem import TrackingProblem
-from ssmr_torch.models.base import named
+from ssmr_torch.lazy import found
 
 
 class Condensed(NamedTuple):
@@ -160,5 +160,5 @@ def horizon_for(model, problem: TrackingProblem) -> Horizon:
     model = model.at_timestep(problem.period)
     if model.affine:
         return LinearHorizon(model, problem)
-    found = named(model.compiled)(model) if model.compiled else None
-    return LinearizedHorizon(model, problem) if found is None else CompiledHorizon(model, problem, *found)
+    compiled = found(model.compiled)(model) if model.compiled else None
+    return LinearizedHorizon(model, problem) if compiled is None else CompiledHorizon(model, problem, *compiled)

@@ -9,7 +9,7 @@ import torch
 
 from ssmr_torch import artifact
 from ssmr_torch.fitting.fit import description
-from ssmr_torch.models.base import named
+from ssmr_torch.lazy import found
 from ssmr_torch.models.torch_model import TorchModel
 
 DECISIVE = ("data", "outputs", "model", "module", "seed")
@@ -40,7 +40,7 @@ def load_model(checkpoint: str | Path) -> tuple[TorchModel, dict]:
                          "ssmr train") from error
     try:
         module, _, name = stored["model"]["class"].rpartition(".")
-        kind = named(f"{module}:{name}")
+        kind = found(f"{module}:{name}")
         if not (isinstance(kind, type) and issubclass(kind, TorchModel)):
             raise ValueError(f"its class is {stored['model']['class']!r}, which is no model")
         model = kind(**stored["model"]["arguments"])

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from importlib import import_module
 from numbers import Number
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -209,12 +208,6 @@ class Model(DataSheet, ABC):
                 found.append(z)
         whole = (steps + 1.0).astype(np.int64) if xp is np else (steps + 1.0).long()
         return Rollout(xp.stack(found, -2), whole)
-
-
-def named(path: str):
-    """What "module:name" names."""
-    module, _, name = path.partition(":")
-    return getattr(import_module(module), name)
 
 
 def around(following: Array, A: Array, B: Array, z: Array, u: Array) -> Linearization:
