@@ -9,9 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from time import thread_time
 
-import h5py
 import numpy as np
-from tqdm import tqdm
 
 from ssmr_torch import __version__
 from ssmr_torch import data_sheet as sheet
@@ -87,6 +85,8 @@ class ClosedLoopRecord(DataSheet):
 
     def save(self, path: str | Path) -> Path:
         """Write one HDF5 file; it appears only when it is complete."""
+        import h5py
+
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         aside = path.with_name(path.name + ".part")
@@ -104,6 +104,8 @@ class ClosedLoopRecord(DataSheet):
     @classmethod
     def load(cls, path: str | Path) -> ClosedLoopRecord:
         """Read a file written by `save`. Raises FileNotFoundError, or ValueError for another kind of file."""
+        import h5py
+
         path = Path(path)
         if not path.is_file():
             raise FileNotFoundError(f"no closed-loop record at {path}; make one with ssmr control")
@@ -136,7 +138,7 @@ def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, 
     controller.reset()
     sample = np.array(plant.reset(seed), dtype=np.float64)
     truth, samples, commands, durations = [], [], [], []
-    for k in tqdm(range(len(time)), desc=task.name, disable=not progress, delay=PATIENCE):
+    for k in _counted(range(len(time)), task.name) if progress else range(len(time)):
         start = thread_time()
         command = controller(float(time[k]), sample + noise[k])
         durations.append(thread_time() - start)
@@ -152,6 +154,13 @@ def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, 
                 "version": __version__}
     return _record(plant, task, time, np.stack(truth), np.stack(samples) + noise, commands, durations,
                    settings | (provenance or {}))
+
+
+def _counted(steps, name: str):
+    """The steps, with a bar where they take more than `PATIENCE`."""
+    from tqdm import tqdm
+
+    return tqdm(steps, desc=name, delay=PATIENCE)
 
 
 def _record(plant, task, time, observation, measurement, commands, durations, provenance) -> ClosedLoopRecord:

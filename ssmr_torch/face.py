@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -60,22 +59,13 @@ def load(path: str | Path) -> TrajectoryDataset | TrainedModel | ClosedLoopRecor
         raise ValueError(f"{path} is a folder with {inside[:5] or 'nothing'}{within}; expected {EXPECTED}")
     if not path.is_file():
         raise FileNotFoundError(f"nothing at {path}; expected {EXPECTED}")
-    said = _format(path)
+    said = found("ssmr_torch.trajectory:format_of")(path)
     for format, reader in READERS.items():
         if said.startswith(format):
             reader = found(reader)
             return getattr(reader, "load", reader)(path)
     advice = ADVICE.get(path.suffix, f"no file of this package{f', but of format {said!r}' if said else ''}")
     raise ValueError(f"{path} is {advice}; expected {EXPECTED}")
-
-
-def _format(path: Path) -> str:
-    """What the card of an HDF5 file says that it is; empty where there is none."""
-    with path.open("rb") as file:
-        if file.read(8) != b"\x89HDF\r\n\x1a\n":
-            return ""
-    with found("h5py:File")(path, "r") as file:
-        return str(json.loads(file.attrs.get("card", "{}")).get("format", "HDF5 without a card of this package"))
 
 
 def simulate(plant, controller, task, *, noise: float = 0.0, seed: int = 0, progress: bool = True,

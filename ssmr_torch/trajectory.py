@@ -219,6 +219,14 @@ class TrajectoryDataset(DataSheet, Sequence):
                    card["provenance"])
 
 
+def format_of(path: str | Path) -> str:
+    """What the card of an HDF5 file says that it is; empty for a file of another kind."""
+    if not h5py.is_hdf5(path):
+        return ""
+    with h5py.File(path, "r") as file:
+        return str(json.loads(file.attrs.get("card", "{}")).get("format", "HDF5 without a card"))
+
+
 def _counted(lengths: Sequence[int]) -> str:
     return f"{len(lengths)} {'run' if len(lengths) == 1 else 'runs'}, {sum(lengths)} samples"
 
