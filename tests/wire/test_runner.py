@@ -13,6 +13,7 @@ import pytest
 from ssmr_torch import artifact, runner
 from ssmr_torch.closed_loop import ClosedLoopRecord, simulate
 from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.control.settings import PredictiveControlSettings
 from ssmr_torch.plants.slow_manifold import SlowManifold
 from ssmr_torch.tasks.references import figure_eight
 from ssmr_torch.wire.link import RobotLink
@@ -85,7 +86,10 @@ def test_the_runner_steers_as_one_process_does_without_torch_scipy_hydra_and_the
 def test_the_default_settings_can_be_had_and_built(capsys):
     assert runner.main(["--print-settings"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert printed == runner.DEFAULT and runner.build(printed["task"]).tracked == ("tip_x", "tip_y")
+    assert all(printed[part] | chosen == printed[part] for part, chosen in runner.DEFAULT.items())
+    assert runner.build(printed["task"]).tracked == ("tip_x", "tip_y")
+    numbers = {name: value for name, value in printed["controller"].items() if name != "_target_"}
+    assert PredictiveControlSettings(**numbers) == PredictiveControlSettings() and numbers["input_weight"] == 100.0
 
 
 @pytest.mark.parametrize(("settings", "what"), [
