@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ssmr_torch.models.tables import ModelTables
+from ssmr_torch.models.base import Model
 
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
 
@@ -31,12 +31,12 @@ def compile_library(source: Path, library: Path, flags: tuple[str, ...] = FLAGS)
 
 
 class CLibrary:
-    """The functions of a compiled model, with the shapes of `ModelTables`; batched functions loop over the batch.
+    """The functions of a compiled model, with the shapes of `Model`; batched functions loop over the batch.
 
-    name: the prefix of the functions.   model: the tables whose sizes it has.
+    name: the prefix of the functions.   model: the model whose sizes it has.
     """
 
-    def __init__(self, library: Path, name: str, model: ModelTables):
+    def __init__(self, library: Path, name: str, model: Model):
         self._functions, self._name, self.model = ctypes.CDLL(str(library.resolve())), name, model
 
     def raw(self, function: str):

@@ -4,11 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssmr_torch.deployment.c_steps import FLOW, HELD_TABLE, flow_scratch
+from ssmr_torch.deployment.c_steps import FLOW, flow_scratch
 from ssmr_torch.deployment.c_text import Family, product, table, times
-from ssmr_torch.models.neural_tables import NeuralTables
+from ssmr_torch.models.neural import NeuralModel
 
 CODE = """\
+/* table (QF, N) = the columns of the rate that the input changes, with u held */
+static void hold_table(const double *restrict rate_table, const double *restrict field_table, int columns, int rows,
+                       const double *restrict u, double *restrict held)
+{
+    int i, j;
+    for (i = 0; i < columns * rows; i++) {
+        held[i] = rate_table[i];
+        for (j = 0; j < M; j++)
+            held[i] += field_table[i * M + j] * u[j];
+    }
+}
+
 typedef struct {
     double rate[QF * N];
 } Held;
@@ -94,14 +106,14 @@ static void decode_state(const double *z, double *y, double *C)
 """
 
 
-def neural(model: NeuralTables) -> Family:
+def neural(model: NeuralModel) -> Family:
     """dz/dt = (drift + Σ_j u_j field_j) · [1, z, h_L], the table held over a step."""
     n, m = model.state_dim, model.input_dim
     depth, width = model.biases.shape
     first, linear, constant = model.operators  # (w, n), (n, 1 + m, n + w), (n, 1 + m)
     affine = np.concatenate([constant[..., None], linear], axis=-1)
     features = affine.shape[-1]
-    code = (HELD_TABLE + table("drift", affine[:, 0].T, "rate without input over [1, z, last layer]")
+    code = (table("drift", affine[:, 0].T, "rate without input over [1, z, last layer]")
             + times("field", affine[:, 1:].reshape(n * m, -1), "control field over [1, z, last layer]")
             + times("first", first, "first layer")
             + table("hidden", model.hidden_weight.swapaxes(1, 2), "hidden layers, each column by column")

@@ -1,120 +1,177 @@
-"""A polynomial model in C."""
+"""A polynomial model in C, of any structure: its forms as tables over products, and how they follow each other."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 
-from ssmr_torch.deployment.c_monomials import MULTIPLY_OUT, CMonomials
-from ssmr_torch.deployment.c_steps import FLOW, HELD_TABLE, flow_scratch
+from ssmr_torch.deployment import c_polynomial_text as text
+from ssmr_torch.deployment.c_steps import FLOW, flow_scratch, map_scratch, map_steps
 from ssmr_torch.deployment.c_text import Family, product, table, times
-from ssmr_torch.models.monomials import Monomials
-from ssmr_torch.models.polynomial_tables import PolynomialTables
-
-DYNAMICS = """\
-typedef struct {
-    double rate[QF * N];
-    double slope[QS > 0 ? QS * N * N : 1];
-} Held;
-
-/* The parts of the tables that the input u changes; those of the Jacobian only with slopes. */
-static void hold(const double *u, int slopes, Held *held)
-{
-    hold_table(rate_head, field, QF, N, u, held->rate);
-    if (slopes)
-        hold_table(slope_head, field_slope, QS, N * N, u, held->slope);
-}
-
-static void rate(const Held *held, const double *z, double *k, double *F, double *G)
-{
-    double powers[Q];
-    multiply_out(z, N, dynamics_parent, dynamics_factor, Q - 1 - N, powers);
-    held_rate_times(held->rate, powers, k);
-    rate_rest_times(powers + QF, k);
-    if (F == NULL)
-        return;
-    held_slope_times(held->slope, powers, F);
-    slope_rest_times(powers + QS, F);
-    field_times(powers, G);
-}
-
-"""
-
-ENCODE_LINEAR = """\
-static void encode_window(const double *window, const double *inputs, double *z)
-{
-    (void)inputs;
-    chart_times(window, z);
-}
-
-"""
-
-ENCODE_CURVED = """\
-static void encode_window(const double *window, const double *inputs, double *z)
-{
-    double powers[QV];
-    (void)inputs;
-    multiply_out(window, (D + 1) * P, chart_parent, chart_factor, QV - 1 - (D + 1) * P, powers);
-    chart_times(powers, z);
-}
-
-"""
-
-DECODE = """\
-static void decode_state(const double *z, double *y, double *C)
-{
-    double powers[QW];
-    multiply_out(z, N, output_parent, output_factor, QW - 1 - N, powers);
-    output_times(powers, y);
-    if (C != NULL)
-        output_slope_times(powers, C);
-}
-
-"""
+from ssmr_torch.models.monomials import Form, Monomials
+from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.models.split import derivative_table, output_table, products, reach, split, trimmed
 
 
-def polynomial(model: PolynomialTables) -> Family:
-    """Tables over [1, z, z z, …]; the columns of the rate and of its Jacobian that the input changes come first."""
-    n, m, p = model.state_dim, model.input_dim, model.output_dim
-    dynamics = CMonomials(max(model.drift_monomials, model.control_monomials, key=lambda each: each.highest))
-    drift, control = CMonomials(model.drift_monomials), CMonomials(model.control_monomials)
-    by_monomial = model.control.reshape(n, -1, m)
-    field = by_monomial.transpose(0, 2, 1).reshape(n * m, -1)
-    field_slope = np.stack([control.derivative(by_monomial[:, 1:, j]) for j in range(m)], axis=1)  # (n n, m, ·)
-    rate, slope = drift.widened(model.drift), drift.derivative(model.drift)
-    qf, qs = field.shape[1], field_slope.shape[2]
-    rate, slope = at_least(rate, qf), at_least(slope, qs)
-    shapes = {"N": n, "Q": dynamics.size, "QF": qf, "QS": qs}
-    chart_sizes, chart, window = _chart(model)
-    output_sizes, output = polynomial_output(model.parametrization_monomials, model.parametrization[-p:])
-    code = (MULTIPLY_OUT + HELD_TABLE + dynamics.declare("dynamics")
-            + table("rate_head", rate[:, :qf].T, "rate without input, columns that the input changes")
-            + times("rate_rest", rate[:, qf:], "rate without input, all other columns", accumulate=True)
-            + table("slope_head", slope[:, :qs].T, "Jacobian of the rate, columns that the input changes")
-            + times("slope_rest", slope[:, qs:], "Jacobian of the rate, all other columns", accumulate=True)
-            + times("field", field, "control field")
-            + table("field_slope", field_slope.reshape(n * n * m, qs).T, "Jacobian of the control field")
-            + product("held_rate_times", n, qf) + product("held_slope_times", n * n, qs)
-            + DYNAMICS + FLOW + chart + output)
-    scratch = max(flow_scratch(n, m) + qf * n + qs * n * n + dynamics.size, window)
-    return Family(shapes | chart_sizes | output_sizes | {"SUBSTEPS": model.substeps}, code, scratch)
+class Piece(NamedTuple):
+    """A part of the file: its enumerators, its code, the doubles that it has on the stack."""
+
+    sizes: dict[str, int]
+    code: str
+    scratch: int
 
 
-def polynomial_output(monomials: Monomials, coefficients: np.ndarray) -> tuple[dict[str, int], str]:
-    """Sizes and code of y = coefficients (p, ·) · monomials of z, with its Jacobian."""
-    compact = CMonomials(monomials)
-    code = (compact.declare("output") + times("output", compact.widened(coefficients), "outputs")
-            + times("output_slope", compact.derivative(coefficients), "Jacobian of the outputs") + DECODE)
-    return {"QW": compact.size}, code
+def polynomial(model: PolynomialModel) -> Family:
+    """Chart, dynamics, the step that their scheme asks for, parametrization; each by its own tables."""
+    model = _as_one_map(model)
+    chart, dynamics, output = _chart(model), _dynamics(model), _output(model)
+    step = _step(model)
+    pieces = (chart, dynamics, step, output)
+    sizes = {name: size for piece in pieces for name, size in piece.sizes.items()}
+    code = text.MULTIPLY_OUT + "".join(piece.code for piece in pieces)
+    return Family(sizes, code, max(chart.scratch, output.scratch, dynamics.scratch + step.scratch),
+                  mathematics=model.structure.saturated)
 
 
-def at_least(array: np.ndarray, columns: int) -> np.ndarray:
+def _as_one_map(model: PolynomialModel) -> PolynomialModel:
+    """A map that is affine in state and input, of all its repeats at once; any other model as it is."""
+    structure, n, m = model.structure, model.state_dim, model.input_dim
+    if model.repeats == 1 or structure.relift or structure.dynamics.highest > 1:
+        return model
+    constant, A, B = model.step_jacobians(np.zeros(n), np.zeros(m))
+    affine = Monomials(n + m, [(), *((k,) for k in range(n + m))])
+    return replace(model, dynamics=np.concatenate([constant[:, None], A, B], -1), base_timestep=model.timestep,
+                   structure=structure._replace(dynamics=affine, scheme="map", saturated=False))
+
+
+def _dynamics(model: PolynomialModel) -> Piece:
+    """`Held`, `hold` and `rate`."""
+    n, rows, saturates = model.state_dim, len(model.dynamics), model.structure.saturated
+    parts = split(model.dynamics_form, n)
+    linear, qf, qs = parts.states.highest <= 1, parts.columns_u, reach(parts.runs_z)
+    free = _at_least(parts.free, 1 + n) if linear or saturates else parts.free
+    sizes = {"R": rows, "Q": len(parts.states.closure), "QF": qf, "QU": len(parts.inputs.closure),
+             "RUNS": len(parts.runs), "INPUT_RUNS": len(parts.runs_u)}
+    code = (_declare("state", parts.states) + _declare("input", parts.inputs)
+            + table("rate_free", free.T, "rate without input, column by column")
+            + table("fields", parts.fields.T, "what monomials of the input add to it, column by column")
+            + table("rate_runs", parts.runs, "monomial of the input, first column, how many, where in fields")
+            + table("input_runs", parts.runs_u, "by the inputs: what is left of it, exponent, input, columns as above")
+            + _add_runs("add_rate_runs", rows) + product("run_times", rows, None) + product("held_rate_times", rows, qf)
+            + _rest("rest_rate_times", rows, free.shape[1] - qf))
+    if not linear:
+        sizes |= {"QS": qs, "SLOPE_RUNS": len(parts.runs_z)}
+        code += (table("slope_free", parts.free_z.T, "Jacobian of the rate without input, column by column")
+                 + table("slope_fields", parts.fields_z.T, "what monomials of the input add to it, column by column")
+                 + table("slope_runs", parts.runs_z, "monomial of the input, first column, how many, where")
+                 + _add_runs("add_slope_runs", rows * n) + product("held_slope_times", rows * n, qs)
+                 + _rest("rest_slope_times", rows * n, parts.free_z.shape[1] - qs))
+    if saturates:
+        edge = np.minimum(model.edge, np.finfo(float).max)
+        code += table("edge", edge, "largest states of the training") + text.SATURATED
+    slopes = text.LINEAR_SLOPES if linear else "    held_slope_times(held->slope, powers, F);\n" + (
+        "    rest_slope_times(slope_free + QS * R * N, powers + QS, F);\n" * (parts.free_z.shape[1] > qs))
+    seen = f"    multiply_out({'seen' if saturates else 'z'}, N, state_parent, state_factor, Q - 1 - N, powers);\n"
+    code += _filled(text.HELD, {"SLOPE": "" if linear else text.SLOPE,
+                                "HOLD_SLOPE": "    (void)slopes;\n" if linear else text.HOLD_SLOPE})
+    code += _filled(text.RATE, {
+        "SEEN": text.SEEN * saturates + seen, "OVER": text.OVER * saturates, "BENT": text.BENT * saturates,
+        "SLOPES": slopes,
+        "RATE_REST": "    rest_rate_times(rate_free + QF * R, powers + QF, k);\n" * (free.shape[1] > qf)})
+    held = sizes["QU"] + rows * qf + (0 if linear else rows * n * qs)
+    return Piece(sizes, code, held + sizes["Q"] + rows + 2 * n * saturates)
+
+
+def _rest(function: str, rows: int, columns: int) -> str:
+    """The product with the columns that no input changes, where there are any."""
+    return product(function, rows, columns, accumulate=True) if columns > 0 else ""
+
+
+def _add_runs(function: str, rows: int) -> str:
+    """A function held += the sum of u^q · the columns of its runs, tables column by column."""
+    return (f"static void {function}(const int *restrict runs, int count, const double *restrict columns,\n"
+            "                          const double *restrict inputs, double *restrict held)\n{\n    int c, i, r;\n"
+            "    for (r = 0; r < count; r++) {\n        const int *run = runs + 4 * r;\n"
+            "        const double share = inputs[run[0]];\n        for (c = 0; c < run[2]; c++)\n"
+            f"            for (i = 0; i < {rows}; i++)\n"
+            f"                held[(run[1] + c) * {rows} + i] += columns[(run[3] + c) * {rows} + i] * share;\n"
+            "    }\n}\n\n")
+
+
+def _step(model: PolynomialModel) -> Piece:
+    """`model_step` and `model_step_jacobians`."""
+    structure, n, m, repeats = model.structure, model.state_dim, model.input_dim, model.repeats
+    if model.flow:
+        return Piece({"SUBSTEPS": model.substeps}, FLOW, flow_scratch(n, m))
+    scratch, code = map_scratch(n, m, repeats), text.MAP
+    if structure.scheme == "euler":
+        scratch, code = scratch + n, f"static const double base_timestep = {model.base_timestep!r};\n\n" + text.EULER
+    if structure.relift:
+        row, variable, rest, count = _slopes(structure.chart)
+        ends = np.searchsorted(row, np.arange(n), side="right")
+        scratch += len(model.dynamics) * (n + m + 1) + len(structure.chart.closure)
+        code = (table("lift_end", ends, "of the Jacobian of the lifting: entries up to each row")
+                + table("lift_variable", variable, "the variable") + table("lift_rest", rest, "what is left")
+                + table("lift_count", count, "the exponent that comes down") + text.LIFTED_ANEW)
+    return Piece({"REPEATS": repeats}, code + map_steps(repeats, held=True), scratch)
+
+
+def _chart(model: PolynomialModel) -> Piece:
+    """`encode_window`, and the chart's monomials, which a model that lifts anew uses again."""
+    structure, window = model.structure, model.window_dim
+    order, monomials = np.array(structure.window_order), structure.chart
+    code = _declare("chart", monomials) + table("order", order, "which values of [window, inputs] the chart sees")
+    seen = "window[order[i]]"
+    if model.takes_past_inputs:
+        seen = f"order[i] < {window} ? {seen} : inputs[order[i] - {window}]"
+    if len(model.window_scale):
+        code += table("scale", model.window_scale, "by what they are divided")
+        seen = f"({seen}) / scale[i]"
+    chart = "    chart_times(powers, z);\n" if len(model.chart) else text.POSITIONS
+    if len(model.chart):
+        code += times("chart", output_table(Form(monomials, model.chart), monomials), "chart")
+    if not len(model.chart) or structure.relift:
+        code += table("chart_position", monomials.positions, "which of the products the state holds")
+    code += _filled(text.ENCODE, {"SEEN": seen, "CHART": chart})
+    return Piece({"O": len(order), "QV": len(monomials.closure)}, code, len(order) + len(monomials.closure))
+
+
+def _output(model: PolynomialModel) -> Piece:
+    """`decode_state`."""
+    monomials = model.structure.parametrization
+    tables = output_table(model.output_form, monomials)
+    code = (_declare("output", monomials) + times("output", tables, "outputs")
+            + times("output_slope", trimmed(derivative_table(tables, monomials)), "Jacobian of the outputs")
+            + text.DECODE)
+    return Piece({"QW": len(monomials.closure)}, code, len(monomials.closure))
+
+
+def _declare(name: str, monomials: Monomials) -> str:
+    """The index tables NAME_parent and NAME_factor of the closure, see `MULTIPLY_OUT`."""
+    parent, factor = products(monomials)
+    return (table(f"{name}_parent", parent, "position of what each product multiplies")
+            + table(f"{name}_factor", factor, "variable it is multiplied by"))
+
+
+def _slopes(monomials: Monomials) -> list[np.ndarray]:
+    """Of each nonzero derivative of a monomial: the monomial, the variable, the rest in the closure, the exponent."""
+    found = []
+    for row, factors in enumerate(monomials.factors):
+        for variable in sorted(set(factors)):
+            rest = list(factors)
+            rest.remove(variable)
+            found.append((row, variable, monomials.position(tuple(rest)), factors.count(variable)))
+    return list(np.array(found, dtype=np.int64).reshape(-1, 4).T)
+
+
+def _at_least(array: np.ndarray, columns: int) -> np.ndarray:
     """A table with columns of zeros added until it has as many."""
     return np.pad(array, ((0, 0), (0, max(0, columns - array.shape[1]))))
 
 
-def _chart(model: PolynomialTables) -> tuple[dict[str, int], str, int]:
-    if model.chart_degree == 1:
-        return {}, times("chart", model.chart, "chart, over the window") + ENCODE_LINEAR, 0
-    compact = CMonomials(model.chart_monomials)
-    code = compact.declare("chart") + times("chart", compact.widened(model.chart), "chart") + ENCODE_CURVED
-    return {"QV": compact.size}, code, compact.size
+def _filled(template: str, pieces: dict[str, str]) -> str:
+    for name, piece in pieces.items():
+        template = template.replace(f"@{name}@", piece)
+    return template

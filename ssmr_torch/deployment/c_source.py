@@ -1,25 +1,13 @@
-"""A model as one C99 file and its header, of NumPy tables alone."""
+"""A model as one C99 file and its header, of its NumPy arrays alone."""
 
 from __future__ import annotations
 
 import re
 from typing import NamedTuple
 
-from ssmr_torch.deployment.c_control_augmented import control_augmented
-from ssmr_torch.deployment.c_koopman import koopman
-from ssmr_torch.deployment.c_neural import neural
-from ssmr_torch.deployment.c_polynomial import polynomial
-from ssmr_torch.deployment.c_text import comment, identifier
-from ssmr_torch.deployment.c_tpwl import tpwl
-from ssmr_torch.models.control_augmented_tables import ControlAugmentedTables
-from ssmr_torch.models.koopman_tables import KoopmanTables
-from ssmr_torch.models.neural_tables import NeuralTables
-from ssmr_torch.models.polynomial_tables import PolynomialTables
-from ssmr_torch.models.tables import ModelTables
-from ssmr_torch.models.tpwl_tables import TPWLTables
-
-FAMILIES = {PolynomialTables: polynomial, ControlAugmentedTables: control_augmented, KoopmanTables: koopman,
-            NeuralTables: neural, TPWLTables: tpwl}
+from ssmr_torch.deployment.c_text import Family, comment, identifier
+from ssmr_torch.lazy import found
+from ssmr_torch.models.base import Model
 
 HEADER = """\
 /* {title}
@@ -111,16 +99,13 @@ class CSource(NamedTuple):
     header: str
 
 
-def write_c(model: ModelTables, card: dict) -> CSource:
+def write_c(model: Model, card: dict) -> CSource:
     """The C file of a model, and what its artifact's card says of it in the header's comment.
 
     Functions NAME_encode, _decode, _decode_jacobian, _step, _step_jacobians, _horizon; see the header. Raises
     ValueError for a kind of model that has no C form.
     """
-    if type(model) not in FAMILIES:
-        raise ValueError(f"a {type(model).__name__} has no C form; those that have one are "
-                         f"{', '.join(sorted(kind.__name__ for kind in FAMILIES))}; leave c out of the formats")
-    family, name = FAMILIES[type(model)](model), identifier(card["name"])
+    family, name = _family(model), identifier(card["name"])
     sizes = {"N": model.state_dim, "M": model.input_dim, "P": model.output_dim, "D": model.delays} | family.sizes
     includes = ["<stddef.h>"] + ["<math.h>"] * family.mathematics
     source = (f"/* {comment(card['name'])}; see {name}.h. Written by ssmr_torch; do not edit. */\n"
@@ -130,7 +115,16 @@ def write_c(model: ModelTables, card: dict) -> CSource:
     return CSource(name, _named(source, name), _named(_header(model, card, family.scratch), name))
 
 
-def _header(model: ModelTables, card: dict, scratch: int) -> str:
+def _family(model: Model) -> Family:
+    """What the writer that the model names, "module:function", makes of it."""
+    if model.c_source is None:
+        raise ValueError(f"a {type(model).__name__} has no C form: its class names no writer of one; leave c out of "
+                         "the formats, or set its c_source to \"module:function\", where the function makes a "
+                         "ssmr_torch.deployment.c_text.Family of the model")
+    return found(model.c_source)(model)
+
+
+def _header(model: Model, card: dict, scratch: int) -> str:
     units, (low, high) = card["units"], card["input_range"]
     lines = [model.geometry, f"artifact: tables with sha256 {card['sha256']['tables.safetensors']}",
              f"outputs, m from rest: {', '.join(card['output_names'])}; rest: {', '.join(map(repr, card['rest']))}",

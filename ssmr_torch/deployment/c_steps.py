@@ -91,32 +91,17 @@ void model_step_jacobians(const double *z, const double *u, double *next, double
 
 """
 
-# What all families of flows share whose rate is a table times features, dz/dt = (rate + sum of u_j field_j) . features.
-HELD_TABLE = """\
-/* table (QF, N) = the columns of the rate that the input changes, with u held */
-static void hold_table(const double *restrict rate_table, const double *restrict field_table, int columns, int rows,
-                       const double *restrict u, double *restrict held)
-{
-    int i, j;
-    for (i = 0; i < columns * rows; i++) {
-        held[i] = rate_table[i];
-        for (j = 0; j < M; j++)
-            held[i] += field_table[i * M + j] * u[j];
-    }
-}
-
-"""
-
-# A family of maps defines advance(z, u, next, F, G) over one base timestep, F and G NULL where they are not wanted.
+# A family of maps defines advance(INPUT, z, next, F, G) over one base timestep, F and G NULL where they are not wanted;
+# INPUT is u, or what `hold` makes of it.
 MAP_STEP = """\
 void model_step(const double *z, const double *u, double *next)
 {
     double x[N], following[N];
-    int i, repeat;
-    for (i = 0; i < N; i++)
+@HELD@    int i, repeat;
+@HOLD@    for (i = 0; i < N; i++)
         x[i] = z[i];
     for (repeat = 0; repeat < REPEATS; repeat++) {
-        advance(x, u, following, NULL, NULL);
+        advance(@INPUT@, x, following, NULL, NULL);
         for (i = 0; i < N; i++)
             x[i] = following[i];
     }
@@ -130,8 +115,8 @@ SINGLE_MAP_JACOBIANS = """\
 void model_step_jacobians(const double *z, const double *u, double *next, double *A, double *B)
 {
     double following[N];
-    int i;
-    advance(z, u, following, A, B);
+@HELD@    int i;
+@HOLD@    advance(@INPUT@, z, following, A, B);
     for (i = 0; i < N; i++)
         next[i] = following[i];
 }
@@ -158,10 +143,10 @@ static void multiply(const double *restrict F, int columns, double *restrict X)
 void model_step_jacobians(const double *z, const double *u, double *next, double *A, double *B)
 {
     double x[N], following[N], F[N * N], G[N * M];
-    int i, repeat;
-    advance(z, u, x, A, B);
+@HELD@    int i, repeat;
+@HOLD@    advance(@INPUT@, z, x, A, B);
     for (repeat = 1; repeat < REPEATS; repeat++) {
-        advance(x, u, following, F, G);
+        advance(@INPUT@, x, following, F, G);
         multiply(F, N, A);
         multiply(F, M, B);
         for (i = 0; i < N * M; i++)
@@ -176,9 +161,16 @@ void model_step_jacobians(const double *z, const double *u, double *next, double
 """
 
 
-def map_steps(repeats: int) -> str:
-    """The steps of a map that is repeated so often; a single one needs no room for products of Jacobians."""
-    return MAP_STEP + (SINGLE_MAP_JACOBIANS if repeats == 1 else REPEATED_MAP_JACOBIANS)
+def map_steps(repeats: int, held: bool = False) -> str:
+    """The steps of a map that is repeated so often; a single one needs no room for products of Jacobians.
+
+    held: whether the family has `Held` and `hold` for what the input changes.
+    """
+    step, jacobians = MAP_STEP, SINGLE_MAP_JACOBIANS if repeats == 1 else REPEATED_MAP_JACOBIANS
+    declared = "    Held held;\n" if held else ""
+    return "".join(text.replace("@HELD@", declared).replace("@INPUT@", "&held" if held else "u")
+                   .replace("@HOLD@", f"    hold(u, {slopes}, &held);\n" if held else "")
+                   for text, slopes in ((step, 0), (jacobians, 1)))
 
 
 def map_scratch(state_dim: int, input_dim: int, repeats: int) -> int:

@@ -36,17 +36,27 @@ def table(name: str, array: np.ndarray, note: str) -> str:
             + ",\n    ".join(rows) + "\n};\n\n")
 
 
-def product(function: str, rows: int, columns: int, stored: str | None = None, accumulate: bool = False) -> str:
+def product(function: str, rows: int, columns: int | None, stored: str | None = None, accumulate: bool = False) -> str:
     """A function out = table · x (or out += …), the table stored column by column.
 
-    Rows are the inner loop, so that a compiler that may not reorder sums can still use vector instructions.
-    stored: the table's name; None: the function takes it as its first argument.
+    Rows are the inner loop, so that a compiler that may not reorder sums can still use vector instructions; four
+    columns at a time, so that it need not wait for each sum. stored: the table's name; None: the function takes it as
+    its first argument. columns: None: the function takes how many, before x.
     """
-    first = "" if stored else "const double *restrict table, "
-    clear = "" if accumulate else f"    for (i = 0; i < {rows}; i++)\n        out[i] = 0.0;\n"
-    return (f"static void {function}({first}const double *restrict x, double *restrict out)\n{{\n    int i, q;\n"
-            f"{clear}    for (q = 0; q < {columns}; q++)\n        for (i = 0; i < {rows}; i++)\n"
-            f"            out[i] += {stored or 'table'}[q * {rows} + i] * x[q];\n}}\n\n")
+    given = "" if stored else "const double *restrict table, "
+    given += "int columns, " if columns is None else ""
+    four, table = "columns - 3" if columns is None else str(columns - columns % 4), stored or "table"
+    each = [f"{table}[{f'(q + {k})' if k else 'q'} * {rows} + i] * x[{f'q + {k}' if k else 'q'}]" for k in range(4)]
+    over_rows = f"        for (i = 0; i < {rows}; i++)\n            out[i] += "
+    lines = [f"static void {function}({given}const double *restrict x, double *restrict out)\n{{\n    int i, q = 0;\n"]
+    if not accumulate:
+        lines += [f"    for (i = 0; i < {rows}; i++)\n        out[i] = 0.0;\n"]
+    if columns is None or columns > 3:
+        lines += [f"    for (; q < {four}; q += 4)\n{over_rows}({each[0]} + {each[1]})\n"
+                  f"                      + ({each[2]} + {each[3]});\n"]
+    if columns is None or columns % 4:
+        lines += [f"    for (; q < {'columns' if columns is None else columns}; q++)\n{over_rows}{each[0]};\n"]
+    return "".join(lines) + "}\n\n"
 
 
 def times(name: str, matrix: np.ndarray, note: str, accumulate: bool = False) -> str:

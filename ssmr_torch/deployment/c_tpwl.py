@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from ssmr_torch.deployment.c_steps import map_scratch, map_steps
 from ssmr_torch.deployment.c_text import Family, product, table, times
-from ssmr_torch.models.integrators import whole_multiple
-from ssmr_torch.models.tpwl_tables import TPWLTables
+from ssmr_torch.models.piecewise_linear import PiecewiseLinearModel
 
 DISTANCES = """\
 /* Squared distance of the positions in z to point i, less what is the same for all points. */
@@ -33,7 +32,7 @@ static void local_map(int i, const double *z, const double *u, double *next)
 """
 
 NEAREST = """\
-static void advance(const double *z, const double *u, double *next, double *F, double *G)
+static void advance(const double *u, const double *z, double *next, double *F, double *G)
 {
     double least = distance(z, 0);
     int i, j, nearest = 0;
@@ -106,7 +105,7 @@ static void blended_jacobians(const double *z, const double *u, const double *we
             F[r * N + j] -= 2.0 / (width * width) * next[r] * centre[j];
 }
 
-static void advance(const double *z, const double *u, double *next, double *F, double *G)
+static void advance(const double *u, const double *z, double *next, double *F, double *G)
 {
     double weights[POINTS], each[N];
     int i, r;
@@ -199,7 +198,7 @@ static void predict(const double *u, double *z, double *V)
 {
     double next[N], F[N * N], G[N * M], T[N * N];
     int i, j, r;
-    advance(z, u, next, F, G);
+    advance(u, z, next, F, G);
     for (i = 0; i < N; i++) {
         z[i] = next[i];
         for (j = 0; j < N; j++) {
@@ -249,10 +248,10 @@ static void decode_state(const double *z, double *y, double *C)
 """
 
 
-def tpwl(model: TPWLTables) -> Family:
+def tpwl(model: PiecewiseLinearModel) -> Family:
     """The local maps side by side; of the nearest point, or blended where the model has a width."""
     n, m, count = model.state_dim, model.input_dim, len(model.points)
-    repeats = whole_multiple(model.timestep, model.base_timestep)
+    repeats = model.repeats
     code = (table("points", model.points, "positions of the points")
             + table("transitions", model.A.swapaxes(1, 2), "A_i, each column by column")
             + table("actuations", model.B.swapaxes(1, 2), "B_i, each column by column")
@@ -269,5 +268,4 @@ def tpwl(model: TPWLTables) -> Family:
     code += map_steps(repeats) + DECODE + FILTER
     blended = count + 3 * n if model.width > 0.0 else 0
     scratch = blended + max(map_scratch(n, m, repeats), n * (3 * n + m + 1))
-    return Family({"POINTS": count, "REPEATS": repeats,
-                   "WINDOW_REPEATS": whole_multiple(model.window_timestep, model.base_timestep)}, code, scratch, True)
+    return Family({"POINTS": count, "REPEATS": repeats, "WINDOW_REPEATS": model.window_steps}, code, scratch, True)

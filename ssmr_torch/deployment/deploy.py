@@ -1,8 +1,9 @@
 """Deployable forms of an artifact: written aside, checked against its model, then moved into its folder `deployed`.
 
-    c       NAME.c, NAME.h                                  C99, of its tables alone
+    c       NAME.c, NAME.h                                  C99, of its arrays alone
     torch   encode.pt2, decode.pt2, step.pt2, step_jacobians.pt2     torch.export programs
     onnx    the same four as .onnx                          ONNX graphs, needs the extra `onnx`
+    casadi  NAME_encode.casadi, and likewise the other three         casadi.Function, needs the extra `casadi`
 """
 
 from __future__ import annotations
@@ -21,10 +22,14 @@ from ssmr_torch import artifact
 from ssmr_torch.artifact import Artifact
 from ssmr_torch.deployment.c_library import CLibrary, compile_library, compiler
 from ssmr_torch.deployment.c_source import write_c
+from ssmr_torch.deployment.c_text import identifier
 from ssmr_torch.deployment.reference import Sought, check, expected, horizon_inputs
 
-FORMATS = ("c", "torch", "onnx")
-MODULES = {"c": (), "torch": ("torch",), "onnx": ("torch", "onnx", "onnxruntime", "onnxscript")}
+FORMATS = ("c", "torch", "onnx", "casadi")
+MODULES = {"c": (), "torch": ("torch",), "onnx": ("torch", "onnx", "onnxruntime", "onnxscript"),
+           "casadi": ("casadi",)}
+
+EXTRAS = {"torch": "train"}  # which extra brings the packages of a format, where it has another name
 
 
 class Form(NamedTuple):
@@ -43,7 +48,7 @@ class Form(NamedTuple):
 def deploy(directory: str | Path, formats: Sequence[str]) -> list[Form]:
     """Write these forms of the artifact in a directory into its folder `deployed`; others that lie there stay.
 
-    Each is run on the artifact's reference batch and must agree with its tables within 1e-12 relative, or what rounding
+    Each is run on the artifact's reference batch and must agree with its model within 1e-12 relative, or what rounding
     leaves certain of the model itself (see `expected`). Nothing is replaced before all of them do. Raises ValueError
     where one does not (with both numbers), for a format that does not exist, for one whose packages are missing, and
     what `artifact.load` raises.
@@ -52,9 +57,7 @@ def deploy(directory: str | Path, formats: Sequence[str]) -> list[Form]:
     _refuse_unavailable(formats)
     directory = Path(directory)
     loaded, batch = artifact.load(directory), artifact.reference(directory)
-    aside = directory.with_name(directory.name + ".deployed.part")
-    shutil.rmtree(aside, ignore_errors=True)
-    aside.mkdir()
+    aside = Path(tempfile.mkdtemp(prefix=f".{directory.name}.deployed.", dir=directory.parent))
     try:
         forms = [WRITERS[name](loaded, batch, aside) for name in formats]
         (directory / artifact.DEPLOYED).mkdir(exist_ok=True)
@@ -69,12 +72,12 @@ def _refuse_unavailable(formats: Sequence[str]) -> None:
     unknown = [name for name in formats if name not in FORMATS]
     if unknown:
         raise ValueError(f"no format {unknown[0]!r}; those that exist are {', '.join(FORMATS)}, as in "
-                         "formats=[c,torch,onnx]")
+                         "formats=[c,torch]")
     for name in formats:
         missing = [module for module in MODULES[name] if importlib.util.find_spec(module) is None]
         if missing:
-            raise ValueError(f"the format {name} needs {', '.join(missing)}; pip install 'ssmr_torch[onnx]', or leave "
-                             f"{name} out of the formats")
+            raise ValueError(f"the format {name} needs {', '.join(missing)}; pip install "
+                             f"'ssmr_torch[{EXTRAS.get(name, name)}]', or leave {name} out of the formats")
 
 
 def _write_c(loaded: Artifact, batch: dict[str, np.ndarray], aside: Path) -> Form:
@@ -91,7 +94,7 @@ def _write_c(loaded: Artifact, batch: dict[str, np.ndarray], aside: Path) -> For
 
 
 def check_c(library: CLibrary, model, batch: dict[str, np.ndarray]) -> float:
-    """Every function of a compiled model against its tables; the largest relative difference."""
+    """Every function of a compiled model against the model; the largest relative difference."""
     z, u, sought = batch["state"], batch["input"], expected(model, batch)
     y, C = library.decode_jacobian(z)
     following, A, B = library.step_jacobians(z, u)
@@ -127,6 +130,18 @@ def _write_onnx(loaded: Artifact, batch: dict[str, np.ndarray], aside: Path) -> 
     return Form("onnx", tuple(sorted(path.name for path in aside.glob("*.onnx"))), check("onnx", comparisons))
 
 
+def _write_casadi(loaded: Artifact, batch: dict[str, np.ndarray], aside: Path) -> Form:
+    from ssmr_torch.deployment.casadi_program import casadi_functions, run_function, save_function
+
+    comparisons, sought, prefix = [], _by_output(loaded, batch), identifier(loaded.card["name"])
+    for name, function in casadi_functions(loaded.model).items():
+        path = aside / f"{prefix}_{name}.casadi"
+        save_function(function, path)
+        comparisons += [(f"{name}: {output}", value, sought[name, output])
+                        for output, value in run_function(path, batch).items()]
+    return Form("casadi", tuple(sorted(path.name for path in aside.glob("*.casadi"))), check("casadi", comparisons))
+
+
 def _by_output(loaded: Artifact, batch: dict[str, np.ndarray]) -> dict[tuple[str, str], Sought]:
     sought = expected(loaded.model, batch)
     return {("encode", "z"): sought["encode"], ("decode", "y"): sought["decode"], ("step", "next"): sought["step"],
@@ -134,4 +149,4 @@ def _by_output(loaded: Artifact, batch: dict[str, np.ndarray]) -> dict[tuple[str
             ("step_jacobians", "B"): sought["B"]}
 
 
-WRITERS = {"c": _write_c, "torch": _write_torch, "onnx": _write_onnx}
+WRITERS = {"c": _write_c, "torch": _write_torch, "onnx": _write_onnx, "casadi": _write_casadi}

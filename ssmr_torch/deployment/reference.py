@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from ssmr_torch.models.base import Model
 from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
-from ssmr_torch.models.tables import ModelTables
 
 TOLERANCE = 1e-12
-ROUNDING = 10.0  # how many times what rounding of the tables does to the model's own answer a form may differ
+ROUNDING = 10.0  # how many times what rounding of its arrays does to the model's own answer a form may differ
+
+
+class Signature(NamedTuple):
+    """What a function of a deployed model takes, by the names in an artifact's reference batch, and what it gives."""
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+
+SIGNATURES = {"encode": Signature(("window", "window_input"), ("z",)), "decode": Signature(("state",), ("y",)),
+              "step": Signature(("state", "input"), ("next",)),
+              "step_jacobians": Signature(("state", "input"), ("next", "A", "B"))}
 
 
 class Sought(NamedTuple):
@@ -22,27 +33,26 @@ class Sought(NamedTuple):
     tolerance: float
 
 
-def expected(model: ModelTables, batch: dict[str, np.ndarray]) -> dict[str, Sought]:
-    """What the tables make of an artifact's reference batch: encode, decode, step, A, B, C, and, with "horizon " before
+def expected(model: Model, batch: dict[str, np.ndarray]) -> dict[str, Sought]:
+    """What the model makes of an artifact's reference batch: encode, decode, step, A, B, C, and, with "horizon " before
     them, states, A, B, outputs, C along `horizon_inputs`.
 
-    The tolerance is 1e-12, or ten times what the last bit of the tables changes in the answer where that is more: a
+    The tolerance is 1e-12, or ten times what the last bit of its arrays changes in the answer where that is more: a
     Kalman filter may not be determined any better.
     """
     rng = np.random.default_rng(0)
-    moved = replace(model, **{name: table * (1 + 2.0 ** -52 * rng.choice([-1, 1], table.shape))
-                              for name in model.array_names() for table in [getattr(model, name)]})
+    moved = model.with_arrays(lambda array: array * (1 + 2.0 ** -52 * rng.choice([-1, 1], array.shape)))
     z, inputs = horizon_inputs(model, batch)
     values, other = (_answers(each, batch) | _along(each, z, inputs) for each in (model, moved))
     return {name: Sought(values[name], max(TOLERANCE, ROUNDING * _difference(other[name], values[name])))
             for name in values}
 
 
-def horizon_inputs(model: ModelTables, batch: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def horizon_inputs(model: Model, batch: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """The first state (n,) of the batch, and its inputs (H, m) one after the other, up to where the model diverges."""
     z, inputs = batch["state"][0], batch["input"]
     with np.errstate(over="ignore", invalid="ignore"):  # of a rollout that diverges
-        norm = np.linalg.norm(model.rollout(z, inputs), axis=-1)
+        norm = np.linalg.norm(model.states(z, inputs), axis=-1)
     inside = np.isfinite(norm) & (norm <= DIVERGENCE_FACTOR * np.linalg.norm(model.state_scale))
     return z, inputs if inside.all() else inputs[:max(0, int(inside.argmin()) - 1)]
 
@@ -65,7 +75,7 @@ def check(form: str, comparisons: Iterable[tuple[str, np.ndarray, Sought]]) -> f
     return largest
 
 
-def _answers(model: ModelTables, batch: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _answers(model: Model, batch: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     z, u = batch["state"], batch["input"]
     A, B, _ = model.linearize(z, u)
     C, _ = model.linearize_output(z)
@@ -73,8 +83,8 @@ def _answers(model: ModelTables, batch: dict[str, np.ndarray]) -> dict[str, np.n
             "step": model.step(z, u), "A": A, "B": B, "C": C}
 
 
-def _along(model: ModelTables, z: np.ndarray, inputs: np.ndarray) -> dict[str, np.ndarray]:
-    states = model.rollout(z, inputs)
+def _along(model: Model, z: np.ndarray, inputs: np.ndarray) -> dict[str, np.ndarray]:
+    states = model.states(z, inputs)
     A, B, _ = model.linearize(states[:-1], inputs)
     C, _ = model.linearize_output(states)
     return {"horizon states": states, "horizon A": A, "horizon B": B, "horizon outputs": model.decode(states),

@@ -33,4 +33,5 @@ def like(array: Array, values: np.ndarray) -> Array:
 
 def identity(array: Array, size: int) -> Array:
     """The identity matrix (size, size) as an array of the same library."""
-    return like(array, np.eye(size))
+    xp = namespace(array)
+    return np.eye(size) if xp is np else xp.eye(size, dtype=array.dtype, device=array.device)
