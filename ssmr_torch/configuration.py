@@ -85,6 +85,11 @@ def built(node: DictConfig):
     return instantiate(node)
 
 
+def written(entry: str, overrides: Sequence[str] = ()) -> dict:
+    """What is `composed`, in plain values; interpolations as they are written."""
+    return OmegaConf.to_container(composed(entry, overrides))
+
+
 @contextmanager
 def _left_as_found() -> Iterator[None]:
     """Whatever Hydra is in the middle of, as when a job composes the configuration of another one."""

@@ -7,9 +7,7 @@ import re
 from collections.abc import Sequence
 from functools import cache
 
-from omegaconf import OmegaConf
-
-from ssmr_torch.configuration import composed
+from ssmr_torch.configuration import written
 
 # These say how the work is done and shown, and change no result.
 WITHOUT_EFFECT = frozenset({"progress", "enable_progress_bar", "workers", "num_workers"})
@@ -29,7 +27,7 @@ def configuration(entry: str, overrides: Sequence[str]) -> str:
 
 @cache
 def _text(entry: str, overrides: tuple[str, ...]) -> str:
-    return json.dumps(_decisive(OmegaConf.to_container(composed(entry, overrides))), sort_keys=True)
+    return json.dumps(_decisive(written(entry, overrides)), sort_keys=True)
 
 
 def _decisive(node):
