@@ -57,6 +57,13 @@ def test_help_and_refusals_import_neither_torch_nor_hydra():
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+def test_every_folder_of_the_package_is_one_that_the_wheel_carries():
+    listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    folders = {path.parent.relative_to(ROOT).as_posix().replace("/", ".")
+               for path in (ROOT / "ssmr_torch").rglob("*.py")}
+    assert set(listed) == folders | {"ssmr_torch.conf", "ssmr_torch.experiments", "hydra_plugins"}
+
+
 def test_the_version_is_the_packages(capsys, monkeypatch):
     assert said(capsys, monkeypatch, "--version")[:2] == (0, f"ssmr_torch {__version__}\n")
     assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"] == __version__
