@@ -52,12 +52,11 @@ def test_a_value_in_the_parent_of_a_controller_changes_the_runs_that_inherit_it_
     assert changed(before, conf / "controller" / "scp.yaml", "terminal_weight: 0.123") == runs | {"delays/trunk"}
 
 
-def test_a_value_in_a_fit_that_only_a_model_names_changes_these_models_and_all_that_is_made_of_them(conf, before):
-    """model/ssmr.yaml and model/sssr.yaml name the fit least_squares, no job does."""
-    assert not [step for job in jobs() for step in job.steps if "fit=least_squares" in step.overrides]
-    made_of_them = {job.name for job in jobs() if job.about.get("method") in ("SSMR", "SSSR")}
-    made_of_them |= {"open_loop/trunk", "delays/trunk"}
-    assert changed(before, conf / "fit" / "least_squares.yaml", "folds: 7") == made_of_them
+def test_a_value_in_what_trains_all_models_changes_these_and_all_that_is_made_of_them(conf, before):
+    """train.yaml names trainer/cpu.yaml, no job does."""
+    assert not [step for job in jobs() for step in job.steps if "trainer=cpu" in step.overrides]
+    trained = {job.name for job in jobs() if not job.name.startswith("data/")}
+    assert changed(before, conf / "trainer" / "cpu.yaml", "gradient_clip_val: 0.5") == trained
 
 
 def test_a_comment_changes_nothing(conf, before):
