@@ -17,18 +17,18 @@ from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.data.derivatives import Stencil
 from ssmr_torch.fitting.checkpoints import check_resumable, load_model, save_model
 from ssmr_torch.fitting.constructors import check_call, default_of, sized_model
-from ssmr_torch.fitting.control_augmented_least_squares import ControlAugmentedLeastSquares
 from ssmr_torch.fitting.diagnosis import diagnose
 from ssmr_torch.fitting.fit import LeastSquaresFit, ModelFit
 from ssmr_torch.fitting.koopman_least_squares import KoopmanLeastSquares
+from ssmr_torch.fitting.linear_start import LinearStart
 from ssmr_torch.fitting.neural_ode_start import NeuralODEStart
+from ssmr_torch.fitting.polynomial_least_squares import PolynomialLeastSquares
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.keywords import configurable
-from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.models.neural_ode import NeuralODE
 from ssmr_torch.models.ssmr import SSMR
-from ssmr_torch.models.torch_model import TorchModel
+from ssmr_torch.models.torch_model import PolynomialTorchModel, TorchModel
 from ssmr_torch.trajectory import TrajectoryDataset
 
 # λ to choose from by cross-validation; by the name of a regression, "default" for those not named.
@@ -74,11 +74,18 @@ def least_squares(model: SSMR, *, ridge: float | Sequence | Mapping = FINE_RIDGE
     return LeastSquaresFit(SSMRLeastSquares(model, derivative=derivative, **options), ridge, folds)
 
 
-@configurable(ControlAugmentedLeastSquares)
-def control_augmented_least_squares(model: ControlAugmentedSSMR, *, ridge: float | Sequence | Mapping = RIDGES,
-                                    folds: int = 5, **options) -> LeastSquaresFit:
-    """Closed-form fit of a control-augmented SSMR; options as in `ControlAugmentedLeastSquares`."""
-    return LeastSquaresFit(ControlAugmentedLeastSquares(model, **options), ridge, folds)
+@configurable(PolynomialLeastSquares)
+def polynomial_least_squares(model: PolynomialTorchModel, *, ridge: float | Sequence | Mapping = RIDGES,
+                             folds: int = 5, derivative: Stencil | None = None, **options) -> LeastSquaresFit:
+    """Closed-form fit of any polynomial model; options as in `PolynomialLeastSquares`."""
+    return LeastSquaresFit(PolynomialLeastSquares(model, derivative=derivative, **options), ridge, folds)
+
+
+@configurable(PolynomialLeastSquares)
+def linear_start(model: TorchModel, *, ridge: float | Sequence | Mapping = RIDGES, folds: int = 5,
+                 **options) -> LeastSquaresFit:
+    """Closed-form start of a model of another family from a linear map; options as in `PolynomialLeastSquares`."""
+    return LeastSquaresFit(LinearStart(model, **options), ridge, folds)
 
 
 @configurable(KoopmanLeastSquares)

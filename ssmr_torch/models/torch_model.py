@@ -111,6 +111,15 @@ class TorchModel(nn.Module, ABC):
         """States under inputs (..., H, m) held one timestep each, from z (..., n), and where they diverged."""
         return self.reduced.rollout(z, inputs)
 
+    def begin(self, chart: Tensor, parametrization: Tensor, A: Tensor, B: Tensor) -> None:
+        """Take the values of a fitted linear model, to be refined from there by gradients (fit=from_linear):
+
+            z = chart · [ŷ, û],   y = parametrization · z,   A z + B u is dz/dt of a flow, z⁺ of a map.
+
+        chart (n, (n_d + 1) p + n_d m), parametrization (p, n), A (n, n), B (n, m). Called within torch.no_grad().
+        """
+        raise NotImplementedError(f"{type(self).__name__} does not say how it begins as a linear model")
+
     def scales(self) -> dict[str, Tensor]:
         """The size of a step for each coefficient, by the parameters' names: an optimizer sees θ / scale. Those that
         are not named are of order one already.

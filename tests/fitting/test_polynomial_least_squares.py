@@ -1,10 +1,10 @@
-"""Control-augmented SSMR in closed form, on systems whose answer is known."""
+"""Polynomial models in closed form from their structure, on systems whose answer is known."""
 
 import numpy as np
 import pytest
 import torch
 
-from ssmr_torch.fitting.control_augmented_least_squares import ControlAugmentedLeastSquares
+from ssmr_torch.fitting.polynomial_least_squares import PolynomialLeastSquares
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.trajectory import Trajectory
 
@@ -53,14 +53,14 @@ def test_a_joint_polynomial_map_of_state_and_input_is_recovered(solve_stages):
     read_out = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 2))).Q
     trajectories = runs(joint_map, read_out)
     model = ControlAugmentedSSMR(2, 2, 3, 0, dynamics_degree=2, input_degree=2, timestep=H)
-    solve_stages(ControlAugmentedLeastSquares(model), trajectories, rows=64)
+    solve_stages(PolynomialLeastSquares(model), trajectories, rows=64)
     assert one_step_error(model, trajectories) < 1e-10
 
 
 def test_without_products_of_inputs_the_same_map_is_not_recovered(solve_stages):
     trajectories = runs(joint_map, np.eye(2))
     model = ControlAugmentedSSMR(2, 2, 2, 0, dynamics_degree=2, input_degree=1, timestep=H)
-    solve_stages(ControlAugmentedLeastSquares(model), trajectories)
+    solve_stages(PolynomialLeastSquares(model), trajectories)
     assert one_step_error(model, trajectories) > 1e-5
 
 
@@ -72,7 +72,7 @@ def test_a_predictive_chart_finds_the_state_behind_one_delayed_output(solve_stag
     for chart in ("tangent_space", "predictive"):
         model = ControlAugmentedSSMR(2, 2, 1, 2, dynamics_degree=1, timestep=H)
         options = {"future": future} if chart == "predictive" else {}
-        solve_stages(ControlAugmentedLeastSquares(model, chart=chart, **options), trajectories, rows=64)
+        solve_stages(PolynomialLeastSquares(model, chart=chart, **options), trajectories, rows=64)
         errors[chart] = one_step_error(model, trajectories)
     assert errors["predictive"] < 1e-8 < 1e-4 < errors["tangent_space"]
 
@@ -82,7 +82,7 @@ def test_cutting_runs_into_segments_changes_nothing(solve_stages):
     tables = []
     for rows in (37, 1024):
         model = ControlAugmentedSSMR(2, 2, 2, 1, timestep=H)
-        solve_stages(ControlAugmentedLeastSquares(model, chart="predictive", future=5), trajectories, rows=rows)
+        solve_stages(PolynomialLeastSquares(model, chart="predictive", future=5), trajectories, rows=rows)
         tables.append(model.dynamics_table.abs().detach())
     torch.testing.assert_close(*tables, rtol=1e-6, atol=1e-8)
 
@@ -92,10 +92,10 @@ def test_impossible_options_and_missing_runs_are_refused(solve_stages):
     for options, message in (({"chart": "best"}, "chart is 'best'"), ({"manifold_data": "some"}, "manifold_data is"),
                              ({"future": 0}, "future is 0 samples")):
         with pytest.raises(ValueError, match=message):
-            ControlAugmentedLeastSquares(model, **options)
+            PolynomialLeastSquares(model, **options)
     for options, message in (({"chart": "tangent_space"}, "2 values in the window are fewer than the 3"),
                              ({"chart": "predictive", "future": 1}, "2 values in this and 1 further sample")):
         with pytest.raises(ValueError, match=message):
-            ControlAugmentedLeastSquares(ControlAugmentedSSMR(3, 2, 1, 1), **options)
+            PolynomialLeastSquares(ControlAugmentedSSMR(3, 2, 1, 1), **options)
     with pytest.raises(ValueError, match="the training data hold no decays"):
-        solve_stages(ControlAugmentedLeastSquares(model, chart="tangent_space"), runs(linear_map, np.eye(2), decays=0))
+        solve_stages(PolynomialLeastSquares(model, chart="tangent_space"), runs(linear_map, np.eye(2), decays=0))
