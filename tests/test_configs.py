@@ -14,8 +14,8 @@ from omegaconf import OmegaConf
 from ssmr_torch.data.derivatives import Stencil
 from ssmr_torch.fitting.fit import ModelFit
 from ssmr_torch.models.koopman import Koopman
-from ssmr_torch.models.polynomial_tables import PolynomialTables
-from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.models.ssmr import SSSR
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.plants.rig import Rig
 from ssmr_torch.tasks.references import Task
@@ -234,15 +234,15 @@ def test_every_view_takes_task_and_plant(view, tmp_path):
         assert (tmp_path / config.view.recording).is_file()
 
 
-def _tables(outputs: int) -> PolynomialTables:
-    built = SSMR(6, 4, outputs, 1)
+def _tables(outputs: int) -> PolynomialModel:
+    built = SSSR(6, 4, outputs, 1)
     with torch.no_grad():
         frame = torch.eye(built.window_dim, 6, dtype=torch.float64)
         built.chart.copy_(frame.T)
         built.parametrization.copy_(frame)
         built.drift_table.copy_(-torch.eye(6))
         built.state_scale.fill_(0.05)
-    return built.tables()
+    return built.reduced.numpy()
 
 
 def _pregain(outputs: int):
@@ -251,7 +251,7 @@ def _pregain(outputs: int):
         built.A.copy_(0.9 * torch.eye(built.state_dim))
         built.B[:, :] = 0.01
         built.state_scale.fill_(0.05)
-    return built.tables()
+    return built.reduced.numpy()
 
 
 def _run():
