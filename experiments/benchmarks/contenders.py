@@ -18,7 +18,6 @@ import numpy as np
 from control_step import PAPER
 
 from ssmr_torch.control.base import Command
-from ssmr_torch.models.integrators import rk4_step
 
 PERIOD, OUTPUT_WEIGHT, INPUT_WEIGHT = PAPER.period, PAPER.output_weight, PAPER.input_weight
 SILENT = {"print_time": False}
@@ -119,7 +118,7 @@ class CasADi(Contender):
         interpreted, one flat graph is faster.
         """
         N, n, m, kind = self.N, self.n, self.m, ca.MX if compiled else ca.SX
-        step = symbolic_step(ca, self.model)
+        step = symbolic_step(self.model)
         start, target = kind.sym("start", n), kind.sym("target", len(self.columns), N)
         z, cost, unknowns, gaps = start, 0.0, [], []
         for k in range(N):
@@ -138,7 +137,7 @@ class CasADi(Contender):
 
     def _output(self, z):
         """The tracked outputs of symbolic states; they are linear in the benchmark's model."""
-        if self.model.parametrization_degree != 1:
+        if self.model.structure.parametrization.highest != 1:
             raise Unavailable("the benchmark traces linear outputs only")
         table = self.model.parametrization[-self.model.output_dim:][self.columns]
         return casadi().sparsify(casadi().DM(table)) @ z
@@ -259,12 +258,11 @@ def _next(rows: np.ndarray) -> np.ndarray:
     return np.concatenate([rows[1:], rows[-1:]])
 
 
-def symbolic_step(ca, model):
-    """z⁺ of one Runge-Kutta step as a CasADi function of z and u, by running our own code on symbols."""
-    z, u = ca.SX.sym("z", model.state_dim), ca.SX.sym("u", model.input_dim)
-    inputs = entries(u)
-    following = rk4_step(lambda x: model.rate(x, inputs), entries(z), model.timestep, model.substeps)
-    return ca.Function("step", [z, u], [ca.cse(ca.vertcat(*following))])
+def symbolic_step(model):
+    """z⁺ as a CasADi function of z and u, by running our own code on symbols."""
+    from ssmr_torch.deployment.casadi_program import casadi_functions
+
+    return casadi_functions(model, ["step"])["step"]
 
 
 def entries(symbol) -> np.ndarray:

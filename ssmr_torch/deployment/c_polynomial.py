@@ -78,7 +78,7 @@ def _dynamics(model: PolynomialModel) -> Piece:
                                 "HOLD_SLOPE": "    (void)slopes;\n" if linear else text.HOLD_SLOPE})
     code += _filled(text.RATE, {
         "SEEN": text.SEEN * saturates + seen, "OVER": text.OVER * saturates, "BENT": text.BENT * saturates,
-        "SLOPES": slopes,
+        "SLOPES": slopes, "J": ", j" * (linear or saturates),
         "RATE_REST": "    rest_rate_times(rate_free + QF * R, powers + QF, k);\n" * (free.shape[1] > qf)})
     held = sizes["QU"] + rows * qf + (0 if linear else rows * n * qs)
     return Piece(sizes, code, held + sizes["Q"] + rows + 2 * n * saturates)

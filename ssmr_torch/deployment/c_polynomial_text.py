@@ -63,7 +63,7 @@ RATE = """\
 static void rate(const Held *held, const double *z, double *k, double *F, double *G)
 {
     double powers[Q], part[R];
-    int i, j, r;
+    int i@J@, r;
 @SEEN@    held_rate_times(held->rate, powers, k);
 @RATE_REST@@OVER@    if (F == NULL)
         return;

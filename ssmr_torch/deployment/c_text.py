@@ -45,17 +45,18 @@ def product(function: str, rows: int, columns: int | None, stored: str | None = 
     """
     given = "" if stored else "const double *restrict table, "
     given += "int columns, " if columns is None else ""
-    four, table = "columns - 3" if columns is None else str(columns - columns % 4), stored or "table"
+    whole, table = "whole" if columns is None else str(columns - columns % 4), stored or "table"
     each = [f"{table}[{f'(q + {k})' if k else 'q'} * {rows} + i] * x[{f'q + {k}' if k else 'q'}]" for k in range(4)]
     over_rows = f"        for (i = 0; i < {rows}; i++)\n            out[i] += "
-    lines = [f"static void {function}({given}const double *restrict x, double *restrict out)\n{{\n    int i, q = 0;\n"]
+    lines = [f"static void {function}({given}const double *restrict x, double *restrict out)\n{{\n"]
+    lines += ["    const int whole = columns - columns % 4;\n"] * (columns is None) + ["    int i, q;\n"]
     if not accumulate:
         lines += [f"    for (i = 0; i < {rows}; i++)\n        out[i] = 0.0;\n"]
-    if columns is None or columns > 3:
-        lines += [f"    for (; q < {four}; q += 4)\n{over_rows}({each[0]} + {each[1]})\n"
-                  f"                      + ({each[2]} + {each[3]});\n"]
+    lines += [f"    for (q = 0; q < {whole}; q += 4)\n{over_rows}({each[0]} + {each[1]})\n"
+              f"                      + ({each[2]} + {each[3]});\n"]
     if columns is None or columns % 4:
-        lines += [f"    for (; q < {'columns' if columns is None else columns}; q++)\n{over_rows}{each[0]};\n"]
+        end = "columns" if columns is None else columns
+        lines += [f"    for (q = {whole}; q < {end}; q++)\n{over_rows}{each[0]};\n"]
     return "".join(lines) + "}\n\n"
 
 

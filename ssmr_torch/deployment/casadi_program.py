@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import casadi
@@ -13,9 +14,9 @@ from ssmr_torch.models.base import Model
 MATRICES = ("A", "B")  # what a function gives beside vectors
 
 
-def casadi_functions(model: Model) -> dict[str, casadi.Function]:
+def casadi_functions(model: Model, names: Iterable[str] = tuple(SIGNATURES)) -> dict[str, casadi.Function]:
     """encode (window (n_d + 1, p), window_input (n_d, m)) → z (n,), decode (state (n,)) → y (p,), step (state, input
-    (m,)) → next (n,), and step_jacobians (state, input) → next, A (n, n), B (n, m), by these names; SI.
+    (m,)) → next (n,), and step_jacobians (state, input) → next, A (n, n), B (n, m): those in names, by name; SI.
 
     Flat expressions of casadi.SX, of one window or state; CasADi differentiates, maps and compiles them like its own.
     Raises ValueError for a model whose equations choose by numbers, such as a switched one: it has no such expression.
@@ -24,7 +25,7 @@ def casadi_functions(model: Model) -> dict[str, casadi.Function]:
               "state": (model.state_dim,), "input": (model.input_dim,)}
     symbols = {name: casadi.SX.sym(name, *shape) for name, shape in shapes.items()}
     arrays = {name: _array(symbols[name], shape) for name, shape in shapes.items()}
-    return {name: _function(model, name, signature, symbols, arrays) for name, signature in SIGNATURES.items()}
+    return {name: _function(model, name, SIGNATURES[name], symbols, arrays) for name in names}
 
 
 def _function(model: Model, name: str, signature: Signature, symbols: dict[str, casadi.SX],

@@ -1,4 +1,4 @@
-"""A model in C: it computes what the tables compute, in plain C99, and keeps and allocates nothing."""
+"""A model in C: it computes what the model computes, in plain C99, and keeps and allocates nothing."""
 
 import re
 import shutil
@@ -26,7 +26,7 @@ def random_batch(model, seed=3, size=9):
             "window_input": rng.uniform(0, 1, (size, model.delays, model.input_dim))}
 
 
-def test_every_function_computes_what_the_tables_compute(name, compiled):
+def test_every_function_computes_what_the_model_computes(name, compiled):
     library, model, batch, _, _ = compiled(name)
     assert check_c(library, model, batch) <= 1e-13
     assert check_c(library, model, random_batch(model)) <= 1e-13
@@ -145,9 +145,9 @@ def test_no_text_of_the_card_can_end_a_comment():
     assert comment("a */ int x; /* b\nc ?\\?/ ä") == "a * / int x; / * b c ?/?/ ?"
 
 
-def test_a_model_that_has_no_c_form_is_refused_with_those_that_have_one(artifacts):
-    with pytest.raises(ValueError, match="a NoneType has no C form; those that have one are ControlAugmentedTables"):
-        write_c(None, artifact.load(artifacts("SSSR")).card)
+def test_a_model_that_names_no_writer_is_refused_with_what_to_do(artifacts, foreign):
+    with pytest.raises(ValueError, match="a Foreign has no C form: .* leave c out of the formats, or set its c_source"):
+        write_c(foreign, artifact.load(artifacts("SSSR")).card)
 
 
 def test_a_difference_is_refused_with_both_numbers():

@@ -57,6 +57,18 @@ def test_a_form_that_differs_from_the_model_leaves_the_older_file_as_it_was(save
     assert {path.name for path in saved.parent.iterdir()} == {"artifact"}
 
 
+def test_neighbours_of_an_artifact_stay_whatever_their_names(saved):
+    for name in ("artifact.part", "artifact.old", "artifact.deployed.part"):
+        (saved.parent / name).mkdir()
+        (saved.parent / name / "mine").write_text("kept")
+    deploy.deploy(saved, ["c"])
+    loaded = artifact.load(saved)
+    artifact.save(saved, loaded.model, **{key: loaded.card[key] for key in ("output_names", "input_names", "rest",
+                                                                            "input_range")})
+    assert sorted(path.parent.name for path in saved.parent.glob("*/mine")) == [
+        "artifact.deployed.part", "artifact.old", "artifact.part"]
+
+
 def test_a_format_that_fails_keeps_the_others_from_being_replaced(saved, monkeypatch):
     deploy.deploy(saved, ["c"])
     before = files_of(saved)
@@ -90,7 +102,7 @@ def test_a_compiler_that_cc_names_is_taken_first(monkeypatch, tmp_path):
 
 
 def test_an_unknown_format_and_a_missing_package_are_refused_before_any_work(saved, monkeypatch):
-    with pytest.raises(ValueError, match="no format 'c99'; those that exist are c, torch, onnx"):
+    with pytest.raises(ValueError, match="no format 'c99'; those that exist are c, torch, onnx, casadi"):
         deploy.deploy(saved, ["c", "c99"])
     monkeypatch.setitem(deploy.MODULES, "onnx", ("torch", "no_such_package"))
     with pytest.raises(ValueError, match=r"onnx needs no_such_package; pip install 'ssmr_torch\[onnx\]'"):

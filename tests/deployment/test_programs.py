@@ -1,4 +1,4 @@
-"""Torch programs and ONNX graphs: they compute what the tables compute, in float64, for any batch size."""
+"""Torch programs and ONNX graphs: they compute what the model computes, in float64, for any batch size."""
 
 import json
 
@@ -9,6 +9,7 @@ import torch
 from ssmr_torch import artifact
 from ssmr_torch.deployment import torch_program
 from ssmr_torch.deployment.reference import check, expected
+from ssmr_torch.models import kalman
 
 NAMES = ("encode", "decode", "step", "step_jacobians")
 # one of each kind and of what may go wrong in each; the slow ones differ from these in degrees or sizes
@@ -41,7 +42,7 @@ def compare(model, batch, found):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_stored_torch_program_computes_what_the_tables_compute_for_any_batch(kind, exported, tmp_path):
+def test_a_stored_torch_program_computes_what_the_model_computes_for_any_batch(kind, exported, tmp_path):
     loaded, batch, programs = exported(kind)
     assert tuple(programs) == NAMES
     for name, program in programs.items():
@@ -61,7 +62,7 @@ def test_a_stored_torch_program_carries_the_card(exported, tmp_path):
 
 
 @pytest.mark.parametrize("kind", [*UNROLLED, "DMD", "EDMD, bilinear", "control-augmented"])
-def test_an_onnx_graph_computes_what_the_tables_compute_and_is_double_everywhere(kind, exported, tmp_path):
+def test_an_onnx_graph_computes_what_the_model_computes_and_is_double_everywhere(kind, exported, tmp_path):
     onnx = pytest.importorskip("onnx", reason="the extra onnx is not installed")
     pytest.importorskip("onnxscript", reason="the extra onnx is not installed")
     from ssmr_torch.deployment import onnx_program
@@ -102,13 +103,26 @@ def test_elimination_solves_what_the_library_solves():
     generator = torch.Generator().manual_seed(0)
     root = torch.randn(7, 4, 4, generator=generator, dtype=torch.float64)
     S, X = root @ root.mT + torch.eye(4), torch.randn(7, 4, 6, generator=generator, dtype=torch.float64)
-    torch.testing.assert_close(torch_program.solve(S, X), torch.linalg.solve(S, X), rtol=1e-12, atol=1e-13)
+    torch.testing.assert_close(kalman.solve(S, X), torch.linalg.solve(S, X), rtol=1e-12, atol=1e-13)
 
 
-def test_every_kind_of_artifact_has_a_torch_model():
-    assert set(torch_program.MODELS) == set(artifact.KINDS.values())
-    with pytest.raises(ValueError, match="a int has no Torch form; those that have one are"):
-        torch_program.torch_model(1)
+def test_a_family_from_elsewhere_has_programs_by_its_linearization_alone(foreign, tmp_path):
+    rng = np.random.default_rng(0)
+    batch = {"state": rng.normal(size=(5, 2)), "input": rng.normal(size=(5, 2)), "window": rng.normal(size=(5, 2, 2)),
+             "window_input": rng.normal(size=(5, 1, 2))}
+    for name, program in torch_program.programs(foreign, batch).items():
+        torch_program.save_program(program, tmp_path / f"{name}.pt2", {})
+        assert compare(foreign, batch, torch_program.run_program(tmp_path / f"{name}.pt2", name, batch)[0]) <= 1e-15
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["SSMR", "EDMD, lifted anew", "control-augmented, saturated", "neural ODE"])
+def test_a_compiled_step_is_the_step(kind, models):
+    model = models[kind]()
+    generator = torch.Generator().manual_seed(0)
+    z = 1.5 * torch.randn(7, model.state_dim, generator=generator, dtype=torch.float64)
+    u = torch.rand(7, model.input_dim, generator=generator, dtype=torch.float64)
+    torch.testing.assert_close(torch.compile(model.step)(z, u), model.step(z, u), rtol=1e-12, atol=1e-13)
 
 
 def test_numbers_in_arithmetic_are_double_constants():
