@@ -29,7 +29,7 @@ from omegaconf import OmegaConf, open_dict, read_write
 from tqdm import tqdm
 
 from ssmr_torch import artifact
-from ssmr_torch.configuration import composed, folder
+from ssmr_torch.configuration import composed, folder, own_folders
 from ssmr_torch.experiments.entry import entry_point, save_json
 from ssmr_torch.provenance import provenance
 from ssmr_torch.reproduction.configured import configuration
@@ -128,7 +128,8 @@ def launch(config, directory: Path, stage: str, jobs: list[Job], hashes: dict[st
     command = [sys.executable, __file__, "-m", f"plan={quoted(str(listed))}",
                f"job={','.join(map(str, range(len(jobs))))}", f"hydra.sweep.dir={quoted(str(folder / 'launched'))}",
                "hydra.output_subdir=null", f"hydra/launcher={config.launcher.plugin}",
-               *(f"hydra.launcher.{name}={value}" for name, value in settings.items())]
+               *(f"hydra.launcher.{name}={value}" for name, value in settings.items()),
+               *(word for own in own_folders() for word in ("--config-dir", own))]
     bar.set_postfix_str(stage)
     before, log = bar.n, folder / f"{stage.replace(' ', '_')}.log"
     with open(log, "w") as text:

@@ -14,10 +14,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ssmr_torch import __version__
-from ssmr_torch.extras import remedy
+from ssmr_torch.extras import remedy, require
 
 COMMANDS = ("collect", "train", "export", "evaluate", "control", "serve", "serve-plant", "report", "delay-study",
             "reproduce")
+SEARCHES = ("sweep=", "tuning=")
 COMPLETION = ("-sc", "--shell-completion")  # as Hydra has it
 
 
@@ -45,6 +46,8 @@ def start(command: str, arguments: list[str], program: str | None = None) -> int
     """Run an entry point with these arguments, under the name of its script, with which it can start itself again."""
     sys.argv = [program or str(script(command)), *arguments]
     try:
+        if any(argument.startswith(SEARCHES) for argument in arguments):
+            require("optuna")  # else Hydra says only that it has no such sweeper
         entry = import_module(f"ssmr_torch.experiments.{script(command).stem}").main
     except ModuleNotFoundError as error:
         if remedy(error) is None:

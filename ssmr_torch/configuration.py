@@ -18,6 +18,7 @@ from hydra import compose, initialize_config_dir
 from hydra._internal.core_plugins import file_config_source
 from hydra._internal.sources_registry import SourcesRegistry
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.plugins.config_source import ConfigResult
 from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
@@ -56,14 +57,22 @@ def folder() -> Path:
     raise FileNotFoundError(f"no configurations beside {HERE}; install ssmr_torch again")
 
 
+def own_folders() -> list[str]:
+    """The folder that --config-dir has given to the command that runs; empty without one."""
+    sources = HydraConfig.get().runtime.config_sources if HydraConfig.initialized() else []
+    return [source.path for source in sources if source.provider == "command-line"]
+
+
 def composed(entry: str, overrides: Sequence[str] = (), *, hydra: bool = False) -> DictConfig:
     """conf/ENTRY.yaml as the command line composes it with these overrides; hydra: with Hydra's own settings as well.
 
+    Groups of the user's own count where --config-dir has given them to the command that runs.
     Raises Hydra's ConfigCompositionException for overrides that the configuration does not have.
     """
     register()
+    overrides = [*overrides, *(f"hydra.searchpath=['file://{own}']" for own in own_folders())]
     with _left_as_found(), initialize_config_dir(str(folder()), version_base="1.3"):
-        return compose(entry, list(overrides), return_hydra_config=hydra)
+        return compose(entry, overrides, return_hydra_config=hydra)
 
 
 def plain(config: DictConfig, without: Sequence[str] = ()) -> dict:

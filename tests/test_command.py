@@ -94,6 +94,20 @@ def test_a_command_and_its_script_compose_the_same_configuration(name, capsys, m
     assert capsys.readouterr().out == composed
 
 
+def test_groups_of_ones_own_count_in_the_jobs_that_a_command_composes(tmp_path):
+    """As `ssmr reproduce --config-dir DIR` composes its jobs."""
+    (tmp_path / "conf" / "task").mkdir(parents=True)
+    (tmp_path / "conf" / "task" / "mine.yaml").write_text("defaults: [circle]\nradius: 0.0123\n")
+    (tmp_path / "program.py").write_text(
+        "from ssmr_torch.configuration import composed, own_folders\n"
+        "from ssmr_torch.experiments.entry import entry_point\n\n"
+        "@entry_point('report')\ndef main(config, directory):\n"
+        "    print(composed('control', ['task=mine']).task.radius, *own_folders())\n\nmain()\n")
+    done = subprocess.run([sys.executable, "program.py", "--config-dir", "conf", "directory=."], cwd=tmp_path,
+                          capture_output=True, text=True)
+    assert done.stdout.split() == ["0.0123", str(tmp_path / "conf")], done.stderr
+
+
 def test_composing_imports_neither_torch_nor_lightning_nor_matplotlib():
     code = ("import sys; from ssmr_torch.command import main\n"
             "for name in ('train', 'export', 'evaluate', 'control', 'collect'):\n"
@@ -135,6 +149,13 @@ def test_without_hydra_a_command_says_what_to_install():
     done = subprocess.run([sys.executable, "-c", code, "train"], capture_output=True, text=True)
     assert done.returncode == 1
     assert done.stderr == "ssmr train: hydra is not installed: pip install 'ssmr_torch[train]'\n"
+
+
+def test_without_optuna_a_search_says_what_to_install():
+    code = "import sys; sys.modules['optuna'] = None; from ssmr_torch.command import main; sys.exit(main())"
+    done = subprocess.run([sys.executable, "-c", code, "train", "-m", "sweep=ssmr"], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr == "ssmr train: optuna is not installed: pip install 'ssmr_torch[sweeps]'\n"
 
 
 def test_without_torch_a_command_says_what_to_install(tmp_path):
