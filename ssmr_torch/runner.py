@@ -19,6 +19,7 @@ import numpy as np
 
 from ssmr_torch import artifact
 from ssmr_torch.defaults import keyword_defaults
+from ssmr_torch.extras import remedy
 
 log = logging.getLogger(__name__)
 
@@ -102,8 +103,10 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     try:
         _serve(options)
-    except (ValueError, OSError) as error:
-        print(f"runner: {error}", file=sys.stderr)
+    except (ValueError, OSError, ImportError) as error:
+        if isinstance(error, ImportError) and remedy(error) is None:
+            raise
+        print(f"runner: {remedy(error) or error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130

@@ -115,6 +115,16 @@ def test_bad_input_ends_in_one_message(shipped, arguments, what, capsys):
     assert what in capsys.readouterr().err
 
 
+def test_a_letter_in_a_font_says_what_to_install_where_fonttools_is_missing(shipped, tmp_path):
+    (tmp_path / "text.ttf").touch()
+    task = {"_target_": "ssmr_torch.tasks.symbols.symbol", "font": str(tmp_path / "text.ttf")}
+    (tmp_path / "settings.json").write_text(json.dumps(runner.DEFAULT | {"task": task}))
+    done = subprocess.run([*without("fontTools"), str(shipped), "--settings", str(tmp_path / "settings.json")],
+                          capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr == "runner: fontTools is not installed: pip install 'ssmr_torch[plots]'\n"
+
+
 @pytest.mark.parametrize("text", ["{", "[]", '{"task": {}}'])
 def test_a_settings_file_that_is_none_is_refused(shipped, tmp_path, text, capsys):
     (tmp_path / "settings.json").write_text(text)
