@@ -81,7 +81,7 @@ def test_a_remote_plant_gives_the_record_of_one_process_up_to_rounding(plant, bu
     robot.join()
     for seed, record in enumerate(records):
         assert_same(record, simulate(plant, build(plant), task, noise_std=3e-5, seed=seed))
-        assert record.provenance["plant"] == "tables"
+        assert record.provenance["plant"] == "model"
     assert not elsewhere.counts
 
 
