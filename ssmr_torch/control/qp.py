@@ -168,7 +168,7 @@ class Workspace(ABC):
 
     @abstractmethod
     def reset(self) -> None:
-        """Forget the workspace: the same problems then give the same solutions again, to rounding."""
+        """Forget the workspace: the same problems then give the same solutions again, to the last bit."""
 
     def solve(self, problem: QuadraticProgram) -> QPSolution:
         """Never raises for the numbers in the problem; ValueError for a problem of another size."""

@@ -144,7 +144,8 @@ def test_more_processes_than_segments_are_refused_with_the_numbers():
     ({"overdrive": 0.9}, "overdrive is 0.9; expected 1 or more"),
     ({"overspeed": 1.5}, "overspeed is 1.5; expected a whole number, 1 or more"),
     ({"transient": -1.0}, "transient is -1.0 s"),
-    ({"rollout_horizon": 0.0}, "rollout_horizon is 0.0 s"), ({"validation_horizon": -2.0}, "validation_horizon is -2.0 s")])
+    ({"rollout_horizon": 0.0}, "rollout_horizon is 0.0 s"),
+    ({"validation_horizon": -2.0}, "validation_horizon is -2.0 s")])
 def test_options_without_meaning_are_refused_with_the_numbers(options, message):
     with pytest.raises(ValueError, match=message):
         module(**options)
