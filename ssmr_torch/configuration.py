@@ -63,14 +63,20 @@ def own_folders() -> list[str]:
     return [source.path for source in sources if source.provider == "command-line"]
 
 
-def composed(entry: str, overrides: Sequence[str] = (), *, hydra: bool = False) -> DictConfig:
+def composed(entry: str, overrides: Sequence[str] = (), *, hydra: bool = False,
+             config_dir: str | Path | None = None) -> DictConfig:
     """conf/ENTRY.yaml as the command line composes it with these overrides; hydra: with Hydra's own settings as well.
 
-    Groups of the user's own count where --config-dir has given them to the command that runs.
-    Raises Hydra's ConfigCompositionException for overrides that the configuration does not have.
+    Groups of the user's own count: those in config_dir, and those that --config-dir gave to the command that runs.
+    Raises ValueError for a config_dir that is no folder, and Hydra's ConfigCompositionException for overrides that the
+    configuration does not have.
     """
     register()
-    overrides = [*overrides, *(f"hydra.searchpath=['file://{own}']" for own in own_folders())]
+    if config_dir is not None and not Path(config_dir).is_dir():
+        raise ValueError(f"config_dir is {config_dir}, which is no folder; expected one with groups, such as "
+                         "model/NAME.yaml")
+    own = own_folders() if config_dir is None else [*own_folders(), str(Path(config_dir).resolve())]
+    overrides = [*overrides, *([f"hydra.searchpath={[f'file://{place}' for place in own]}"] if own else [])]
     with _left_as_found(), initialize_config_dir(str(folder()), version_base="1.3"):
         return compose(entry, overrides, return_hydra_config=hydra)
 

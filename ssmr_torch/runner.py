@@ -10,7 +10,7 @@ import argparse
 import json
 import logging
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -29,33 +29,44 @@ DEFAULT = {"controller": {"_target_": "ssmr_torch.control.mpc.ModelPredictiveCon
            "task": {"_target_": "ssmr_torch.tasks.references.figure_eight", "tracked": ["tip_x", "tip_y"]}}
 
 
-def build(settings: dict, *arguments, **more):
+def build(settings: dict, *arguments, packages: Sequence[str] = (), **more):
     """Call what `_target_` names with its arguments and these.
 
-    Raises ValueError for a target outside control and tasks, for one that is not there, and for unknown arguments.
+    packages: whose contents the settings may name beside control and tasks; a file must not decide which code runs.
+    Raises ValueError for a target or a solver elsewhere, for one that is not there, and for unknown arguments.
     """
     target = settings.get("_target_") if isinstance(settings, dict) else None
-    if not isinstance(target, str) or not target.startswith(ROOMS):
-        raise ValueError(f"the settings name {target!r} as _target_; expected something in {' or '.join(ROOMS)}")
+    _refuse_elsewhere("_target_", target, packages)
+    solver = settings.get("qp")
+    if isinstance(solver, str) and ":" in solver and not solver.startswith("qpsolvers:"):
+        _refuse_elsewhere("qp", solver.replace(":", "."), packages)
     module, _, name = target.rpartition(".")
     try:
         function = getattr(import_module(module), name)
     except (ModuleNotFoundError, AttributeError) as error:
         raise ValueError(f"cannot have {target}: {error}") from error
-    given = {key: _built(value) for key, value in settings.items() if not key.startswith("_")}
+    given = {key: _built(value, packages) for key, value in settings.items() if not key.startswith("_")}
     try:
         return function(*arguments, **given, **more)
     except TypeError as error:
         raise ValueError(f"{target} does not take {given}: {error}") from error
 
 
-def _built(value):
+def _refuse_elsewhere(what: str, target, packages: Sequence[str]) -> None:
+    rooms = (*ROOMS, *(f"{package}." for package in packages))
+    if not isinstance(target, str) or not target.startswith(rooms):
+        raise ValueError(f"the settings name {target!r} as {what}; expected something in {' or '.join(rooms)}, or in a "
+                         "package that --package names")
+
+
+def _built(value, packages: Sequence[str]):
     """Settings within settings: an observer, which the controller itself completes, or obstacles."""
     if isinstance(value, list):
-        return [_built(part) for part in value]
+        return [_built(part, packages) for part in value]
     if not (isinstance(value, dict) and "_target_" in value):
         return value
-    return partial(build, value) if value.get("_partial_") else build(value)
+    made = partial(build, value, packages=packages)
+    return made if value.get("_partial_") else made()
 
 
 def controller_for(loaded: artifact.Artifact, make: Callable, rest_tolerance: float = REST_TOLERANCE) -> Callable:
@@ -121,9 +132,9 @@ def _serve(options) -> None:
     if options.artifact is None:
         raise ValueError("give the directory of an artifact, such as ssmr export writes")
     loaded, settings = artifact.load(options.artifact), _settings(options.settings)
-    task = build(settings["task"])
-    make = controller_for(loaded, lambda model, bounds, **more: build(settings["controller"], model, task, bounds,
-                                                                      **more), options.rest_tolerance)
+    task = build(settings["task"], packages=options.package)
+    make = controller_for(loaded, lambda model, bounds, **more: build(
+        settings["controller"], model, task, bounds, packages=options.package, **more), options.rest_tolerance)
     end = ControllerEnd(make, duration=task.duration, deadline=options.deadline, timeout=options.timeout,
                         patience=options.patience)
     with ControllerLink(options.bind) as link:
@@ -150,6 +161,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("artifact", nargs="?", help="directory of the artifact")
     parser.add_argument("--settings", help="JSON file with controller and task; default: --print-settings")
     parser.add_argument("--print-settings", action="store_true", help="print the default settings and end")
+    parser.add_argument("--package", action="append", default=[], metavar="NAME", help="package of your own whose "
+                        "controllers, observers, tasks and solvers the settings may name; may be repeated")
     parser.add_argument("--bind", default="tcp://*:5555", help="address to wait at (default %(default)s)")
     parser.add_argument("--runs", type=int, default=None, help="end after so many runs (default: never)")
     parser.add_argument("--deadline", type=float, default=None,

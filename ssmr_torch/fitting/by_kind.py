@@ -28,7 +28,8 @@ GROUPS = ("fit", "derivative", "plant", "trainer", "experiment")  # options that
 
 
 def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name: str | None = None,
-        directory: str | Path | None = None, progress: bool | None = None, **options) -> TrainedModel:
+        directory: str | Path | None = None, config_dir: str | Path | None = None, progress: bool | None = None,
+        **options) -> TrainedModel:
     """Fit a model to the training runs of a dataset, exactly as `ssmr train model=KIND` does, and score it.
 
     kind: a name of conf/model: "ssmr" (spectral submanifold), "sssr" (its linear counterpart), "dmd", "edmd",
@@ -37,6 +38,7 @@ def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name
     transient=0.2 s, ridge=1e-6) or by the whole one, **{"fit.refinement.epochs": 0}; and fit, derivative, plant,
     experiment, which choose one of conf/.  seed: of all that is drawn. name: in tables; by default that of the kind.
     directory: keeps the checkpoints and model.ckpt as the command does; None: no file is written.
+    config_dir: folder of groups of your own, as of the command's --config-dir; kinds are then its model/*.yaml, too.
     progress: bars and a sentence on what was found; None: bars only where a refinement takes longer; False: silence.
 
     Returns a `TrainedModel`. Raises TypeError for an option that does not exist, with the nearest one, ValueError for
@@ -47,10 +49,10 @@ def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name
     >>> model.predict(window, inputs, past_inputs=data[-1].input[:1]).shape
     (3, 2)
     """
-    chosen, said = _kind(kind)
+    chosen, said = _kind(kind, config_dir)
     groups = {group: options.pop(group) for group in GROUPS if isinstance(options.get(group), str)}
     config = configuration.composed("train", [f"model={chosen}", "logger=csv", f"seed={seed}", *(
-        f"{group}={choice}" for group, choice in groups.items())])
+        f"{group}={choice}" for group, choice in groups.items())], config_dir=config_dir)
     given = {"name": name or chosen.upper()}
     plain = configuration.plain(config, without=("data", "logger", "name"))
     given |= {key: _plain(value) for key, value in dotted(options, plain).items()}
@@ -84,12 +86,13 @@ def _trained(config, data: TrajectoryDataset, directory: Path, progress: bool | 
     return training, card | {"provenance": provenance() | {"training": made, "data": dataset.provenance}}
 
 
-def _kind(kind: str | None) -> tuple[str, str]:
-    """The kind, and what is to be said of the choice. Raises ValueError for one that conf/ does not have."""
+def _kind(kind: str | None, config_dir: str | Path | None) -> tuple[str, str]:
+    """The kind, and what is to be said of the choice. Raises ValueError for one that no folder has."""
     if kind is None:
         return "ssmr", ('fitting "ssmr", a spectral submanifold of six dimensions, with which most soft robots begin; '
                         'fit(data, "sssr") is its linear counterpart')
-    known = sorted(path.stem for path in (configuration.folder() / "model").glob("*.yaml"))
+    folders = [configuration.folder(), *([] if config_dir is None else [Path(config_dir)])]
+    known = sorted({path.stem for folder in folders for path in (folder / "model").glob("*.yaml")})
     if kind not in known:
         near = get_close_matches(str(kind).lower(), known, n=1, cutoff=0.0)[0]
         raise ValueError(f"no kind of model {kind!r}; did you mean {near!r}? There are {', '.join(known)}")

@@ -66,8 +66,8 @@ class SSMRLeastSquares(nn.Module):
                  detection_delays: int | None = None, manifold_data: str = "decays"):
         super().__init__()
         if not isinstance(model, SSMR):
-            raise ValueError(f"{type(model).__name__} is no SSMR, whose closed form this is; a polynomial model of another "
-                             "structure takes closed_form@fit.closed_form=polynomial, other models the fit of their own")
+            raise ValueError(f"{type(model).__name__} is no SSMR, whose closed form this is; a polynomial model of "
+                             "another structure takes closed_form@fit.closed_form=polynomial, others their own fit")
         for name, value, options in (("calibration", calibration, ("joint", "frozen")),
                                      ("parametrization_fit", parametrization_fit, ("full", "tangent")),
                                      ("input_alignment", input_alignment, ("held", "sample")),

@@ -4,8 +4,15 @@ import numpy as np
 import pytest
 import torch
 
+from ssmr_torch.fitting.linear_start import LinearStart
 from ssmr_torch.fitting.polynomial_least_squares import PolynomialLeastSquares
+from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
+from ssmr_torch.models.monomials import Monomials, graded
+from ssmr_torch.models.neural_ode import NeuralODE
+from ssmr_torch.models.polynomial import Structure
+from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.models.torch_model import PolynomialTorchModel, table
 from ssmr_torch.trajectory import Trajectory
 
 H = 0.01
@@ -99,3 +106,57 @@ def test_impossible_options_and_missing_runs_are_refused(solve_stages):
             PolynomialLeastSquares(ControlAugmentedSSMR(3, 2, 1, 1), **options)
     with pytest.raises(ValueError, match="the training data hold no decays"):
         solve_stages(PolynomialLeastSquares(model, chart="tangent_space"), runs(linear_map, np.eye(2), decays=0))
+
+
+class LiftedMap(PolynomialTorchModel):
+    """z = [y_k, y_{k-1}, u_{k-1}] without a chart, z⁺ = A z + B u + terms in z₁² and z₁ u₂; y, its first, is given."""
+
+    tables = {"chart": ("chart",), "parametrization": ("parametrization",), "dynamics": ("A", "rest")}
+
+    def __init__(self, input_dim, output_dim, timestep=H, *, relift=False):
+        p, m = output_dim, input_dim
+        n, delayed = 2 * p + m, [*range(p, 2 * p), *range(p), *range(2 * p, 2 * p + m)]
+        super().__init__(n, m, p, 1, timestep, None)
+        self.structure = Structure(graded(n, 1, 1), tuple(delayed), graded(n, 1, 1),
+                                   Monomials(n + m, [*((i,) for i in range(n + m)), (0, 0), (0, n + 1)]), "map",
+                                   relift=relift)
+        self.chart, self.A, self.rest = table(0, n), table(n, n), table(n, m + 2)
+        self.register_buffer("parametrization", torch.eye(p, n, dtype=torch.float64))
+
+
+def shear_map(z, u):
+    """z⁺ = (A z + B u) with terms in z₁² and z₁ u₂."""
+    return z + H * (A @ z + B @ u + np.array([-3 * z[0] ** 2, 2 * z[0] * u[1]]))
+
+
+@pytest.mark.parametrize("relift", [False, True])
+def test_a_map_of_the_lifted_window_is_recovered_without_a_stage_for_its_chart(solve_stages, relift):
+    trajectories, model = runs(shear_map, np.eye(2)), LiftedMap(2, 2, relift=relift)
+    procedure = PolynomialLeastSquares(model)
+    assert procedure.stages == ("dynamics",) and procedure.fitted == ["dynamics"]
+    solve_stages(procedure, trajectories, rows=64)
+    assert one_step_error(model, trajectories) < 1e-9
+    np.testing.assert_array_equal(model.parametrization, np.eye(2, 6))  # it was given
+
+
+def test_a_flow_is_recovered_by_the_derivative_of_its_states(known, solve_stages):
+    model = SSMR(2, 2, 4, 0, parametrization_degree=2, dynamics_degree=3, control_degree=1, timestep=1e-3)
+    solve_stages(PolynomialLeastSquares(model, chart="tangent_space"), [*known.decays(1e-3), *known.held_runs(1e-3)])
+    errors = known.errors(model)
+    assert errors["drift"] < 1e-5 and errors["control"] < 1e-4 and errors["outputs"] < 1e-9
+
+
+def test_a_map_is_fitted_at_the_sampling_time_of_the_data_alone():
+    procedure = PolynomialLeastSquares(ControlAugmentedSSMR(2, 2, 2, 1, timestep=0.02))
+    procedure.sampled_every(0.02)
+    with pytest.raises(ValueError, match="covers 0.02 s, the data are sampled every 0.01 s"):
+        procedure.sampled_every(0.01)
+
+
+def test_closed_forms_refuse_models_of_another_family():
+    with pytest.raises(ValueError, match="NeuralODE is no polynomial model"):
+        PolynomialLeastSquares(NeuralODE(2, 2, 2, 1))
+    with pytest.raises(ValueError, match="NeuralODE does not say how it begins as a linear model"):
+        LinearStart(NeuralODE(2, 2, 2, 1))
+    with pytest.raises(ValueError, match="ControlAugmentedSSMR is no SSMR"):
+        SSMRLeastSquares(ControlAugmentedSSMR(2, 2, 2, 1))
