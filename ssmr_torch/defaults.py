@@ -62,7 +62,7 @@ def module_named(name: str) -> Module:
 
 
 def is_library(name: str) -> bool:
-    """Whether a top-level module came with Python, or was installed by a distribution that does not require this one."""
+    """Whether a top-level module came with Python, or by a distribution that does not require this one."""
     own = __name__.partition(".")[0]
     if name == own or name in sys.stdlib_module_names:
         return name != own

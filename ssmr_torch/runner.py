@@ -19,6 +19,7 @@ import numpy as np
 
 from ssmr_torch import artifact
 from ssmr_torch.defaults import keyword_defaults
+from ssmr_torch.settings import non_negative
 from ssmr_torch.extras import remedy
 
 log = logging.getLogger(__name__)
@@ -75,7 +76,7 @@ def controller_for(loaded: artifact.Artifact, make: Callable, rest_tolerance: fl
     make(model, input_bounds, timestep=…, output_names=…) → controller, which itself refuses a timestep that does not
     fit.   rest_tolerance: m.   Raises ValueError for a robot that the model was not trained on, saying both sides.
     """
-    known = {}
+    known, rest_tolerance = {}, non_negative("rest_tolerance", rest_tolerance, "m")
 
     def controller(card):
         artifact.check_source(loaded, card)

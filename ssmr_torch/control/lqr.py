@@ -26,8 +26,9 @@ class StaticPregainController:
     one, or with `horizon` N the first of the finite-horizon recursion over N steps; a constant among the states, which
     is the same in z and ẑ, is left out of it.
 
-    model: a `PregainModel` without bilinear terms and of degree one, such as that of a `StaticPregainKoopman`. task, input_bounds, timestep,
-    period, output_weight (1/m²), input_weight (1/N²), safe_input: as in `ModelPredictiveController`.
+    model: a `PregainModel` without bilinear terms and of degree one, such as that of a `StaticPregainKoopman`. task,
+    input_bounds, timestep, period, output_weight (1/m²), input_weight (1/N²), safe_input: as in
+    `ModelPredictiveController`.
     A measurement that is not finite, or that leads to an input that is not, gives safe_input; `fallbacks` counts it.
     Raises ValueError for another model, or a period that is no multiple of the timestep.
     """

@@ -83,6 +83,12 @@ def test_the_runner_steers_as_one_process_does_without_torch_scipy_hydra_and_the
     assert f"run 1: {len(record.time)} samples, {{}}" in said
 
 
+@pytest.mark.parametrize("tolerance", [float("nan"), -1e-3])
+def test_a_tolerance_that_no_number_is_within_is_refused(shipped, tolerance):
+    with pytest.raises(ValueError, match="rest_tolerance is .* m; expected a finite number, 0 or more"):
+        runner.controller_for(artifact.load(shipped), lambda *_, **__: None, rest_tolerance=tolerance)
+
+
 def test_the_default_settings_can_be_had_and_built(capsys):
     assert runner.main(["--print-settings"]) == 0
     printed = json.loads(capsys.readouterr().out)
