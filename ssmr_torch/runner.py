@@ -19,8 +19,8 @@ import numpy as np
 
 from ssmr_torch import artifact
 from ssmr_torch.defaults import keyword_defaults
-from ssmr_torch.settings import non_negative
 from ssmr_torch.extras import remedy
+from ssmr_torch.settings import non_negative
 
 log = logging.getLogger(__name__)
 
