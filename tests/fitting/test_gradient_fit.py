@@ -73,7 +73,8 @@ class Spring:
     def error(self, model):
         """Relative error of the spring's force, w's rate where w = 0, over the range of the data."""
         y = np.stack([np.linspace(-0.008, 0.008, 41), np.zeros(41)], axis=1)
-        found = model.reduced.drift(model.encode(torch.from_numpy(y)[:, None, :])) @ model.parametrization.T
+        z = model.encode(torch.from_numpy(y)[:, None, :])
+        found = model.reduced.rate(z, z[:, :1] * 0) @ model.parametrization.T
         return np.linalg.norm(found.numpy()[:, 1] - self.drift(y)[:, 1]) / np.linalg.norm(self.drift(y)[:, 1])
 
 

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from copy import deepcopy
 from functools import partial
 from types import SimpleNamespace
 
@@ -16,7 +17,6 @@ from ssmr_torch.fitting.gradient_fit import GradientFit
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.fitting.training import least_squares, load_model, save_model, train
 from ssmr_torch.models.ssmr import SSMR
-from ssmr_torch.models.torch_model import FixedModel
 from ssmr_torch.trajectory import TrajectoryDataset
 
 TRAINER = partial(lightning.Trainer, accelerator="cpu", devices=1, use_distributed_sampler=False,
@@ -213,7 +213,7 @@ def test_a_sampler_that_would_repeat_segments_is_refused():
 
 def perturbed(model, share=0.03):
     """The model with every coefficient of its dynamics off by up to this share."""
-    other = FixedModel(model.reduced.numpy())
+    other = deepcopy(model)
     generator = torch.Generator().manual_seed(4)
     with torch.no_grad():
         for table in (other.drift_table, other.control_table):
@@ -269,7 +269,6 @@ from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.fitting.gradient_fit import GradientFit
 from ssmr_torch.fitting.training import least_squares, train
 from ssmr_torch.models.ssmr import SSMR
-from ssmr_torch.models.torch_model import FixedModel
 from ssmr_torch.trajectory import TrajectoryDataset
 
 train(TrajectoryDataset.load(sys.argv[1]), directory=sys.argv[2],
