@@ -18,8 +18,8 @@ def _without_wide_vectors():
     """ProxQP of ProxSuite's plain build, which gives the same digits every time.
 
     Its builds for AVX sum in an order that depends on where their memory happens to lie, and the last digits with it.
-    The plain one was found as fast up to 40 variables and a fifth slower with 80. Who imports proxsuite before this file
-    gets the build that it chose then, and digits that may differ in the last places.
+    The plain one was found as fast up to 40 variables and a fifth slower with 80. Who imports proxsuite before this
+    file gets the build that it chose then, and digits that may differ in the last places.
     """
     if "proxsuite" not in sys.modules:
         sys.modules[INSTRUCTIONS] = SimpleNamespace(has_AVX512F=lambda: False, has_AVX2=lambda: False)
