@@ -74,7 +74,7 @@ def learned(data, solve_stages):
         model = SSMR(6, 4, 6, 1, parametrization_degree=degree, dynamics_degree=degree, substeps=2)
         solve_stages(SSMRLeastSquares(model), data.select("train"), transient=0.1)
         model.state_scale.fill_(0.05)
-        return model.tables()
+        return model.reduced.numpy()
 
     return learn
 

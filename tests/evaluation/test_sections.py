@@ -20,7 +20,7 @@ from ssmr_torch.evaluation.sections import (
     training_figures,
     training_section,
 )
-from ssmr_torch.models.polynomial_tables import PolynomialTables
+from ssmr_torch.models.structures import spectral_submanifold
 from ssmr_torch.trajectory import Trajectory
 
 TIME = 0.01 * np.arange(151)
@@ -230,7 +230,7 @@ def test_training_figures_leave_out_what_was_not_found(fit):
 
 def decaying(rate, delays=1):
     """dy/dt = −rate y + u on two outputs; of the window the newest sample counts."""
-    return PolynomialTables(
+    return spectral_submanifold(
         chart=np.hstack([np.zeros((2, 2 * delays)), np.eye(2)]), parametrization=np.vstack([np.eye(2)] * (delays + 1)),
         drift=-rate * np.eye(2), control=np.eye(2), state_scale=np.full(2, 0.1), chart_degree=1,
         parametrization_degree=1, dynamics_degree=1, control_degree=0, input_dim=2, output_dim=2, delays=delays,

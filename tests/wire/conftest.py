@@ -20,7 +20,7 @@ def task(bench):
 
 @pytest.fixture
 def plant(bench):
-    return bench.TablesPlant(bench.perturbed(bench.oscillators(), 0.03))
+    return bench.ModelPlant(bench.perturbed(bench.oscillators(), 0.03))
 
 
 @pytest.fixture
