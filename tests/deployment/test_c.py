@@ -32,6 +32,16 @@ def test_every_function_computes_what_the_model_computes(name, compiled):
     assert check_c(library, model, random_batch(model)) <= 1e-13
 
 
+@pytest.mark.parametrize("kind", ["control-augmented, saturated", "control-augmented, linear in the state",
+                                  "of no name, runge_kutta", "of no name, euler", "of no name, map",
+                                  "of no name, lifted anew"])
+def test_so_do_saturated_models_beyond_the_range_of_their_training(kind, compiled):
+    library, model = compiled(kind)[:2]
+    batch = random_batch(model)
+    assert (np.abs(5.0 * batch["state"]) > model.state_scale).any()
+    assert check_c(library, model, batch | {"state": 5.0 * batch["state"]}) <= 1e-13
+
+
 def test_the_file_compiles_without_a_warning_under_strict_c99_and_optimized(name, compiled):
     said, at = compiled(name)[3:]
     assert said == ""
