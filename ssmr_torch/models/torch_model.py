@@ -130,6 +130,7 @@ class TorchModel(nn.Module, ABC):
         """The same model with `step` covering another time in s; the spacing of the window stays."""
         again = type(self)(**(self.arguments | {"timestep": float(timestep)}))
         again.load_state_dict(self.state_dict())
+        _ = again.reduced  # which refuses a time that no whole number of its steps covers
         return again
 
 
@@ -151,6 +152,12 @@ class PolynomialTorchModel(TorchModel):
     def reduced(self) -> PolynomialModel:
         return PolynomialModel(structure=self.structure, substeps=self.substeps, base_timestep=self.base_timestep,
                                **{name: self._joined(parts) for name, parts in self.tables.items()}, **self.sizes)
+
+    def at_timestep(self, timestep: float) -> Self:
+        if self.structure.scheme != "runge_kutta" and "base_timestep" not in self.arguments:
+            raise ValueError(f"the constructor of {type(self).__name__} takes no base_timestep, the time that one "
+                             "application of its map or Euler step covers; without one it knows only its own timestep")
+        return super().at_timestep(timestep)
 
     @torch.no_grad()
     def scales(self) -> dict[str, Tensor]:
