@@ -185,6 +185,9 @@ def documented():
             words = [word for word in shlex.split(rest, posix=True) if "=" in word or word == "~tuned"]
             kept = tuple(word for word in words if not OF_THE_READER.search(word.partition("=")[2])
                          and not word.endswith("…"))
+            own = re.search(r"--config-dir (\S+)", rest)
+            if own:  # docs/extending.md shows the package of tests/extension
+                kept += (f"hydra.searchpath=['file://{ROOT}/tests/extension/{own[1]}']",)
             if kept:
                 yield pytest.param(name, kept, id=f"{path.name}: {name} {' '.join(kept)}")
 
