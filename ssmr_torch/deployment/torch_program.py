@@ -118,7 +118,8 @@ def save_onnx(program: ExportedProgram, path: Path, name: str) -> None:
 @contextmanager
 def _quiet():
     """Without what the exporters say of themselves."""
-    loggers = [logging.getLogger(name) for name in ("torch.onnx._internal.exporter._registration", "onnx_ir")]
+    loggers = [logging.getLogger(name) for name in ("torch.onnx._internal.exporter._registration", "onnx_ir",
+                                                       "onnxscript")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
         logger.setLevel(logging.ERROR)

@@ -46,12 +46,16 @@ def coefficients(model: TorchModel, groups: Sequence[str] = GROUPS) -> list[Tens
 
     dynamics: all tables of the reduced dynamics, as one (n, q) where there are two; chart: (n, k); parametrization:
     the newest sample's rows (p, q_w), the only ones that a prediction uses.
-    Raises ValueError for another group.
+    Raises ValueError for another group, or one in which the model has no coefficients.
     """
     _ = dynamics_tables(model)
     unknown = [group for group in groups if group not in GROUPS]
     if unknown or not groups:
         raise ValueError(f"trained is {list(groups)}; expected some of {GROUPS}")
+    empty = [group for group in groups if not any(getattr(model, name).numel() for name in model.tables[group])]
+    if empty:
+        raise ValueError(f"trained is {list(groups)}, but {type(model).__name__} has no coefficients of its "
+                         f"{empty[0]}; leave it out")
     rows = {"dynamics": slice(None), "chart": slice(None), "parametrization": slice(-model.output_dim, None)}
     return [getattr(model, name).data[rows[group]] for group in GROUPS if group in groups
             for name in model.tables[group]]

@@ -6,6 +6,7 @@ import torch
 
 from ssmr_torch.fitting.linear_start import LinearStart
 from ssmr_torch.fitting.polynomial_least_squares import PolynomialLeastSquares
+from ssmr_torch.fitting.rollout_sensitivities import coefficients
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.monomials import Monomials, graded
@@ -137,6 +138,12 @@ def test_a_map_of_the_lifted_window_is_recovered_without_a_stage_for_its_chart(s
     solve_stages(procedure, trajectories, rows=64)
     assert one_step_error(model, trajectories) < 1e-9
     np.testing.assert_array_equal(model.parametrization, np.eye(2, 6))  # it was given
+
+
+def test_a_refinement_of_a_chart_that_has_no_coefficients_is_refused():
+    assert [table.shape[1] for table in coefficients(LiftedMap(2, 2), ["dynamics"])] == [6, 4]
+    with pytest.raises(ValueError, match="LiftedMap has no coefficients of its chart; leave it out"):
+        coefficients(LiftedMap(2, 2), ["dynamics", "chart"])
 
 
 def test_a_flow_is_recovered_by_the_derivative_of_its_states(known, solve_stages):
