@@ -6,66 +6,18 @@ or a map. z and S = [∂z/∂z_0, ∂z/∂u] are carried along. The held input i
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from ssmr_torch.control.condensing import compiled, condensed, copy, split
+from ssmr_torch.control.kernel_tables import tables_of
 from ssmr_torch.models.polynomial import SCHEMES
-from ssmr_torch.models.split import derivative_table, output_table, products
-from ssmr_torch.models.split import split as split_form
 
 RUNGE_KUTTA, EULER = SCHEMES.index("runge_kutta"), SCHEMES.index("euler")
 
 
-class KernelTables(NamedTuple):
-    """Tables over the closure of the monomials of z, see `models.split.Split`; indices unsigned, which index faster.
-
-    products, u_products (2, ·): entry 1 + n + i of the closure of z is entry products[0, i] times z[products[1, i]];
-    likewise of u. free, runs, fields, free_z, runs_z, fields_z, runs_u: see `Split`. output (p, ·), output_z (p n, ·):
-    of y and ∂y/∂z. linear (n, n): what is linear in z; edge (n,): where other runs saturate, empty where they do not.
-    columns_u: of ∂f/∂u. scheme, length (s): of Runge-Kutta substeps or Euler steps. count: evaluations of the dynamics
-    in a step.
-    """
-
-    products: np.ndarray
-    u_products: np.ndarray
-    free: np.ndarray
-    runs: np.ndarray
-    fields: np.ndarray
-    free_z: np.ndarray
-    runs_z: np.ndarray
-    fields_z: np.ndarray
-    runs_u: np.ndarray
-    output: np.ndarray
-    output_z: np.ndarray
-    linear: np.ndarray
-    edge: np.ndarray
-    columns_u: int
-    scheme: int
-    length: float
-    count: int
-
-
 def compiled_polynomial(model) -> tuple | None:
     """Tables, `rollout` and `condense` of a `PolynomialModel`; None where its observables are lifted anew."""
-    structure = model.structure
-    if structure.relift:
-        return None
-    found = split_form(model.dynamics_form, model.state_dim, structure.parametrization)
-    output = output_table(model.output_form, found.states)
-    tables = KernelTables(
-        _index(products(found.states)), _index(products(found.inputs)), found.free, _index(found.runs), found.fields,
-        found.free_z, _index(found.runs_z), found.fields_z, _index(found.runs_u), output,
-        derivative_table(output, found.states), np.ascontiguousarray(model.linear_part),
-        np.array(model.edge if structure.saturated else ()), found.columns_u, SCHEMES.index(structure.scheme),
-        model.timestep / model.substeps if model.flow else model.base_timestep,
-        4 * model.substeps if model.flow else model.repeats)
-    return tuple(tables), rollout, condense
-
-
-def _index(table) -> np.ndarray:
-    return np.ascontiguousarray(table, dtype=np.uint32)
+    return None if model.structure.relift else (tuple(tables_of(model)), rollout, condense)
 
 
 @compiled
@@ -100,43 +52,36 @@ def powers_of(x, products, out):
 
 
 @compiled
-def _held(free, runs, fields, u_powers, out):
-    """out = free, with what each run adds to its columns while the input u is held."""
-    for i in range(len(free)):
-        copy(free[i], out[i])
-    for r in range(len(runs)):
-        weight, first, count, offset = u_powers[runs[r, 0]], runs[r, 1], runs[r, 2], runs[r, 3]
-        for i in range(len(fields)):
-            for k in range(count):
-                out[i, first + k] += weight * fields[i, offset + k]
+def _weights(terms, u_powers, weights):
+    """What each term weighs while the input u is held."""
+    for e in range(len(terms)):
+        weights[e] = u_powers[terms[e, 0]] * terms[e, 1]
 
 
 @compiled
-def _held_by_input(runs_u, fields, m, u_powers, out):
-    """out (n m, ·), the table of ∂f/∂u while u is held."""
-    for i in range(out.shape[0]):
-        for k in range(out.shape[1]):
-            out[i, k] = 0.0
-    for r in range(len(runs_u)):
-        slope, j = u_powers[runs_u[r, 0]] * runs_u[r, 1], runs_u[r, 2]
-        first, count, offset = runs_u[r, 3], runs_u[r, 4], runs_u[r, 5]
+def _held(free, columns, weights, fields, out):
+    """The columns of out that the input changes: those of free, and the terms of each."""
+    for c in range(len(columns)):
+        column, first, count = columns[c, 0], columns[c, 1], columns[c, 2]
         for i in range(len(fields)):
-            for k in range(count):
-                out[i * m + j, first + k] += slope * fields[i, offset + k]
+            total = free[i, column]
+            for e in range(first, first + count):
+                total += weights[e] * fields[i, e]
+            out[i, column] = total
 
 
 @compiled
-def _within(z, edge, within, slopes):
-    """within = s(z) and the slopes of s; see `models.saturation`."""
-    for i in range(len(z)):
-        over, slopes[i], within[i] = abs(z[i]) / edge[i] - 1.0, 1.0, z[i]
+def _saturate(edge, x, slopes):
+    """z, in the first entries of x, becomes s(z), with the slopes of s; see `models.saturation`."""
+    for i in range(len(edge)):
+        over, slopes[i] = abs(x[i]) / edge[i] - 1.0, 1.0
         if over > 0.0:
             bend = np.tanh(2.0 * over)
-            within[i], slopes[i] = z[i] * (1.0 + 0.5 * bend) / (1.0 + over), 1.0 - bend * bend
+            x[i], slopes[i] = x[i] * (1.0 + 0.5 * bend) / (1.0 + over), 1.0 - bend * bend
 
 
 @compiled
-def _kept_linear(z, within, linear, k):
+def _keep_linear(z, within, linear, k):
     """k, of s(z), becomes that with what is linear in z as it is."""
     for j in range(len(z)):
         if within[j] != z[j]:
@@ -145,7 +90,7 @@ def _kept_linear(z, within, linear, k):
 
 
 @compiled
-def _bent(F, slopes, linear):
+def _bend(F, slopes, linear):
     """F (n n,), by s(z), becomes that by z: the linear part whole, the others by the slopes of s."""
     n = len(slopes)
     for j in range(n):
@@ -207,28 +152,32 @@ def _stepped(x, k, start, total, scheme, stage, h):
 @compiled
 def rollout(state, inputs, tables):
     """States (N+1, n) and outputs (N, p) from state (n,) under inputs (N, m)."""
-    products, u_products, free, runs, fields, _, _, _, _, output, _, linear, edge, _, scheme, h, count = tables
+    (products, u_products, free, columns, terms, fields, _, _, _, _, _, _, _, _, output, _, linear, edge, variables,
+     scheme, h, count) = tables
     N, n, m = len(inputs), len(state), inputs.shape[1]
     states, outputs = np.empty((N + 1, n)), np.empty((N, output.shape[0]))
-    rate, powers, work = np.empty_like(free), np.empty(1 + n + products.shape[1]), np.empty((5, n))
-    k, start, total, within, slopes = work[0], work[1], work[2], work[3], work[4]
-    u_powers = np.empty(1 + m + u_products.shape[1])
+    rate, powers, work = free.copy(), np.empty(1 + variables + products.shape[1]), np.empty((4, n))
+    k, start, total, slopes, x = work[0], work[1], work[2], work[3], np.zeros(n + m)
+    within, u_powers, weights = x[:variables], np.empty(1 + m + u_products.shape[1]), np.empty(len(terms))
     copy(state, states[0])
-    saturated = len(edge) > 0
     for step in range(N):
         z = states[step + 1]
         copy(states[step], z)
+        copy(inputs[step], x[n:])
         powers_of(inputs[step], u_products, u_powers)
-        _held(free, runs, fields, u_powers, rate)
+        _weights(terms, u_powers, weights)
+        _held(free, columns, weights, fields, rate)
         for application in range(count):
-            if saturated:
-                _within(z, edge, within, slopes)
-            powers_of(within if saturated else z, products, powers)
+            copy(z, within)
+            if len(edge):
+                _saturate(edge, within, slopes)
+            powers_of(within, products, powers)
             table_product(rate, powers, k)
-            if saturated:
-                _kept_linear(z, within, linear, k)
+            if len(edge):
+                _keep_linear(z, within, linear, k)
             _stepped(z, k, start, total, scheme, application % 4, h)
-        powers_of(z, products, powers)
+        copy(z, within)
+        powers_of(within, products, powers)
         table_product(output, powers, outputs[step])
     return states, outputs
 
@@ -236,45 +185,51 @@ def rollout(state, inputs, tables):
 @compiled
 def linearize(state, inputs, tables):
     """States (N+1, n), outputs (N, p), A (N, n, n), B (N, n, m) of every step, C (N, p, n) of the output after it."""
-    (products, u_products, free, runs, fields, free_z, runs_z, fields_z, runs_u, output, output_z, linear, edge,
-     columns_u, scheme, h, count) = tables
+    (products, u_products, free, columns, terms, fields, free_z, columns_z, terms_z, fields_z, free_u, columns_u,
+     terms_u, fields_u, output, output_z, linear, edge, variables, scheme, h, count) = tables
     (N, m), n, p = inputs.shape, len(state), output.shape[0]
     states, outputs = np.empty((N + 1, n)), np.empty((N, p))
     A, B, C = np.empty((N, n, n)), np.empty((N, n, m)), np.empty((N, p, n))
-    rate, rate_z, rate_u = np.empty_like(free), np.empty_like(free_z), np.empty((n * m, columns_u))
-    powers, u_powers = np.empty(1 + n + products.shape[1]), np.empty(1 + m + u_products.shape[1])
-    F, G = np.empty(n * n), np.empty(n * m)
-    vectors, work = np.empty((5, n)), np.empty((4, n * (n + m)))
-    k, start, total, within, slopes = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
+    rate, rate_z, rate_u = free.copy(), free_z.copy(), free_u.copy()
+    weights, weights_z, weights_u = np.empty(len(terms)), np.empty(len(terms_z)), np.empty(len(terms_u))
+    powers, u_powers = np.empty(1 + variables + products.shape[1]), np.empty(1 + m + u_products.shape[1])
+    F, G, by_input, x = np.empty(n * n), np.empty(n * m), rate_u.reshape(n * m, -1), np.zeros(n + m)
+    vectors, work = np.empty((4, n)), np.empty((4, n * (n + m)))
+    k, start, total, slopes, within = vectors[0], vectors[1], vectors[2], vectors[3], x[:variables]
     S_start, S_total, flat_S, flat_K = work[0], work[1], work[2], work[3]
     S, K, C_rows = flat_S.reshape(n, n + m), flat_K.reshape(n, n + m), C.reshape(N, p * n)
     copy(state, states[0])
-    saturated = len(edge) > 0
     for step in range(N):
         z = states[step + 1]
         copy(states[step], z)
+        copy(inputs[step], x[n:])
         for i in range(n):
             for j in range(n + m):
                 S[i, j] = 1.0 if i == j else 0.0
         powers_of(inputs[step], u_products, u_powers)
-        _held(free, runs, fields, u_powers, rate)
-        _held(free_z, runs_z, fields_z, u_powers, rate_z)
-        _held_by_input(runs_u, fields, m, u_powers, rate_u)
+        _weights(terms, u_powers, weights)
+        _held(free, columns, weights, fields, rate)
+        _weights(terms_z, u_powers, weights_z)
+        _held(free_z, columns_z, weights_z, fields_z, rate_z)
+        _weights(terms_u, u_powers, weights_u)
+        _held(free_u, columns_u, weights_u, fields_u, rate_u)
         for application in range(count):
-            if saturated:
-                _within(z, edge, within, slopes)
-            powers_of(within if saturated else z, products, powers)
+            copy(z, within)
+            if len(edge):
+                _saturate(edge, within, slopes)
+            powers_of(within, products, powers)
             table_product(rate, powers, k)
             table_product(rate_z, powers, F)
-            table_product(rate_u, powers, G)
-            if saturated:
-                _kept_linear(z, within, linear, k)
-                _bent(F, slopes, linear)
+            table_product(by_input, powers, G)
+            if len(edge):
+                _keep_linear(z, within, linear, k)
+                _bend(F, slopes, linear)
             _carried(F, G, S, K, application == 0)
             _stepped(z, k, start, total, scheme, application % 4, h)
             _stepped(flat_S, flat_K, S_start, S_total, scheme, application % 4, h)
         split(S, A[step], B[step])
-        powers_of(z, products, powers)
+        copy(z, within)
+        powers_of(within, products, powers)
         table_product(output, powers, outputs[step])
         table_product(output_z, powers, C_rows[step])
     return states, outputs, A, B, C
