@@ -22,11 +22,16 @@ class ExactModel:
     """The plant's own flow, fast modes included, from its own state; linearized by central differences."""
 
     delays, state_dim, input_dim = 0, STATES, 4
+    affine, compiled = False, None
 
     def __init__(self, plant: SlowManifold, timestep: float = 0.02):
         self.plant, self.timestep, self.window_timestep = plant, timestep, plant.timestep
         self.output_dim, self.state_scale = len(plant.output_names), np.full(STATES, 1e3)
         self.flow = SlowManifold(plant.observe, timestep, input_bounds=(-100.0, 100.0), substeps=16)
+
+    @property
+    def reduced(self):
+        return self
 
     def at_timestep(self, timestep):
         return ExactModel(self.plant, timestep)
@@ -45,7 +50,7 @@ class ExactModel:
             following.append(self.flow.state)
         return np.array(following).reshape(z.shape)
 
-    def rollout(self, z, inputs):
+    def states(self, z, inputs):
         states = [z]
         for k in range(inputs.shape[-2]):
             states.append(self.step(states[-1], inputs[..., k, :]))

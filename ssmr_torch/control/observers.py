@@ -142,7 +142,7 @@ class KalmanObserver:
         C, _ = self.model.linearize_output(z)
         H = np.hstack([C, self._F])[whole]
         S = H @ self._P @ H.T + self._measurement[np.ix_(whole, whole)]
-        K = np.linalg.solve(S, H @ self._P).T
+        K = _solved(S, H @ self._P).T
         self._x = self._x + K @ error[whole]
         shrink = np.eye(len(self._x)) - K @ H
         self._P = shrink @ self._P @ shrink.T + K @ self._measurement[np.ix_(whole, whole)] @ K.T
@@ -151,3 +151,11 @@ class KalmanObserver:
         z, d = self._x[:self.model.state_dim].copy(), self._x[self.model.state_dim:]
         of_input, of_output = self.disturbance == "input", self.disturbance == "output"
         return z, self._E @ d if of_input else None, d.copy() if of_output else None
+
+
+def _solved(S: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """S⁻¹ X; not numbers where S is singular, as after values far out of range: the filter then starts anew."""
+    try:
+        return np.linalg.solve(S, X)
+    except np.linalg.LinAlgError:
+        return np.full_like(X, np.nan)
