@@ -120,7 +120,7 @@ def save_twin(checkpoint: str | Path, model: Model, card: dict) -> Path:
     """The model of a checkpoint beside it, as FILE.safetensors, for who has no Torch; see `load_twin`."""
     path = _twin(checkpoint)
     aside = path.with_name(f"{path.name}.{os.getpid()}.part")
-    _save_tables(aside, model, card=json.dumps(card), checkpoint=_sha256(checkpoint))
+    _save_tables(aside, model, card=card, checkpoint=_sha256(checkpoint))
     os.replace(aside, path)
     return path
 
@@ -132,7 +132,7 @@ def load_twin(checkpoint: str | Path) -> tuple[Model, dict] | None:
         return None
     try:
         model, noted = _load_tables(path)
-        return (model, json.loads(noted["card"])) if noted["checkpoint"] == _sha256(checkpoint) else None
+        return (model, noted["card"]) if noted["checkpoint"] == _sha256(checkpoint) else None
     except (ValueError, KeyError):
         return None
 
@@ -150,15 +150,17 @@ def _class_of(model: Model) -> str:
     return f"{type(model).__module__}:{type(model).__qualname__}"
 
 
-def _save_tables(path: Path, model: Model, **noted: str) -> None:
+def _save_tables(path: Path, model: Model, **noted) -> None:
+    # one key: safetensors writes several in any order, and the same model would have another hash each time
+    noted = {"class": _class_of(model), "plain": model.plain(), **noted}
     save_file({name: np.ascontiguousarray(array) for name, array in model.arrays.items()}, path,
-              {"class": _class_of(model), "plain": json.dumps(model.plain()), **noted})
+              {"model": json.dumps(noted)})
 
 
-def _load_tables(path: Path) -> tuple[Model, dict[str, str]]:
+def _load_tables(path: Path) -> tuple[Model, dict]:
     try:
         with safe_open(path, "np") as file:
-            noted = file.metadata() or {}
+            noted = json.loads((file.metadata() or {}).get("model", "{}"))
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except SafetensorError as error:
         raise ValueError(f"{path} is damaged ({error}); export the model again") from error
@@ -172,7 +174,7 @@ def _load_tables(path: Path) -> tuple[Model, dict[str, str]]:
     if not (isinstance(family, type) and issubclass(family, Model)):
         raise ValueError(f"{path} names {noted['class']}, which is no model; export the model again")
     try:
-        return family.from_plain(arrays, json.loads(noted["plain"])), noted
+        return family.from_plain(arrays, noted["plain"]), noted
     except (TypeError, KeyError, IndexError) as error:
         raise ValueError(f"{path} does not hold what a {family.__name__} needs ({error}); export the model again"
                          ) from error
