@@ -36,8 +36,7 @@ def assert_same_predictions(path, length_unit, input_unit):
     metres, newtons = length_unit * z, input_unit * u
     windows = (length_unit * y).reshape(20, model.delays + 1, model.output_dim)
     decoded = their_monomials(z, degree["w"]) @ w.T
-    np.testing.assert_allclose(model.parametrization_monomials(metres) @ model.parametrization.T,
-                               length_unit * decoded, rtol=1e-11)
+    np.testing.assert_allclose(model.window_form(metres), length_unit * decoded, rtol=1e-11)
     np.testing.assert_allclose(model.decode(metres), length_unit * decoded[:, -model.output_dim:], rtol=1e-11)
     np.testing.assert_allclose(model.encode(windows, None), length_unit * their_monomials(y, degree["v"]) @ v.T,
                                rtol=1e-10)
@@ -60,8 +59,10 @@ def test_tables_are_converted_for_any_units_and_any_number_of_inputs(tmp_path, l
 def test_the_trusted_range_and_the_substeps_are_those_asked_for(tmp_path):
     model = read_ssmr_model(write(tmp_path / "model.mat"), state_scale=0.03, substeps=4)
     np.testing.assert_array_equal(model.state_scale, np.full(3, 0.03))
-    assert (model.substeps, model.control_degree, model.delays, model.output_dim, model.input_dim) == (4, 0, 1, 3, 2)
-    assert (model.parametrization_degree, model.chart_degree, model.dynamics_degree) == (2, 1, 3)
+    assert (model.substeps, model.delays, model.output_dim, model.input_dim) == (4, 1, 3, 2)
+    structure = model.structure
+    assert (structure.parametrization.highest, structure.chart.highest, structure.dynamics.highest) == (2, 1, 3)
+    assert [row for row in structure.dynamics.factors if max(row) >= 3] == [(3,), (4,)]  # a constant input matrix
 
 
 @pytest.mark.parametrize(("model", "params", "message"), [

@@ -128,7 +128,7 @@ def learned_curve(model, largest):
 
 def learned_series(model):
     """a_1 and a_3 of θ̇ = h(θ), from z's own series; all even terms vanish, as the releases come in pairs ±."""
-    (w1, _, w3), (r1, _, r3) = model.parametrization[-1, :3], model.drift[0, :3]
+    (w1, _, w3), (r1, _, r3) = model.parametrization[-1, :3], model.dynamics[0, :3]
     return r1, (w1 * r3 + 2 * w3 * r1) / w1**3
 # --8<-- [end:compare]
 
@@ -200,12 +200,13 @@ def main(directory=FIGURES, quick=False):
     near = cuts[1.0]
     whole = fit(dataset(large), degree=9, transient=0.6)
     slope, cubic = learned_series(near)
+    gain = near.control_field(np.zeros(1))[0, 0]
     numbers = {"slow": SLOW, "fast": FAST, "ratio": FAST / SLOW, "collapse rate": collapse_rate(small, branch),
                "taylor": taylor(7)[1::2].tolist(), "learned slow": slope, "learned cubic": cubic,
-               "learned slow, large releases": float(whole.drift[0, 0]),
-               "learned slow by transient": {cut: float(model.drift[0, 0]) for cut, model in cuts.items()},
+               "learned slow, large releases": float(whole.dynamics[0, 0]),
+               "learned slow by transient": {cut: float(model.dynamics[0, 0]) for cut, model in cuts.items()},
                "errors": curve_errors(branch, whole, largest=2.0),
-               "static gain": -float(near.control[0, 0] * near.parametrization[-1, 0] / near.drift[0, 0]),
+               "static gain": -float(gain * near.parametrization[-1, 0] / near.dynamics[0, 0]),
                "true static gain": 1 / STIFFNESS}
     figures.save(draw(large, branch, whole, largest=2.2), Path(directory) / "tutorial_pendulum.svg")
     return numbers
