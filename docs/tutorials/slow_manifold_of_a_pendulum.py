@@ -110,7 +110,7 @@ def fit(data, degree, transient):
             data, directory=directory, trainer=TRAINER,
             model=partial(SSMR, state_dim=1, delays=1, parametrization_degree=degree, dynamics_degree=degree,
                           control_degree=0),
-            fits={"closed_form": partial(least_squares, calibration="frozen")},
+            fits={"closed_form": partial(least_squares, calibration="frozen", ridge=0.0)},
             module=partial(TrajectoryDataModule, transient=transient, validation_share=0))
     return training.model.reduced.numpy()
 # --8<-- [end:fit]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from ssmr_torch.models.tpwl import TPWL
 from ssmr_torch.models.torch_model import FixedModel
+from ssmr_torch.models.tpwl import TPWL
 
 
 @pytest.fixture
