@@ -31,9 +31,9 @@ from ssmr_torch.models.base import Model
 FORMAT = "ssmr_torch artifact 3"
 # Kinds of the format before, of versions up to 0.7: what takes their tables.
 BEFORE = "ssmr_torch artifact 2"
-KINDS_BEFORE = {"polynomial": "ssmr_torch.models.structures:spectral_submanifold",
-                "control-augmented": "ssmr_torch.models.structures:control_augmented",
-                "koopman": "ssmr_torch.models.structures:koopman",
+KINDS_BEFORE = {"polynomial": "ssmr_torch.models.named_structures:spectral_submanifold",
+                "control-augmented": "ssmr_torch.models.named_structures:control_augmented",
+                "koopman": "ssmr_torch.models.named_structures:koopman",
                 "neural ODE": "ssmr_torch.models.neural:NeuralModel",
                 "TPWL": "ssmr_torch.models.piecewise_linear:PiecewiseLinearModel"}
 REPLAY_TOLERANCE = 1e-9

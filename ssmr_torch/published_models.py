@@ -11,8 +11,8 @@ import scipy.io
 from scipy.io.matlab import MatReadError
 
 from ssmr_torch.models.monomials import count_monomials, graded
+from ssmr_torch.models.named_structures import koopman, spectral_submanifold
 from ssmr_torch.models.polynomial import PolynomialModel
-from ssmr_torch.models.structures import koopman, spectral_submanifold
 
 
 def read_published_model(path: str | Path, *, output_names: Sequence[str], input_names: Sequence[str] | None = None,

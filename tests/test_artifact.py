@@ -16,8 +16,8 @@ from safetensors.numpy import load_file, save_file
 from ssmr_torch import artifact
 from ssmr_torch.fitting.checkpoints import load_model
 from ssmr_torch.models.monomials import count_monomials
+from ssmr_torch.models.named_structures import spectral_submanifold
 from ssmr_torch.models.polynomial import PolynomialModel
-from ssmr_torch.models.structures import spectral_submanifold
 
 DATA = {"output_names": ["x", "y", "z"], "input_names": ["u1", "u2"], "rest": [0.1, 0.0, 1 / 3],
         "input_range": [[0.0, -1.0], [1.0, 2.0]]}

@@ -7,7 +7,7 @@ import pytest
 from ssmr_torch.closed_loop import ClosedLoopRecord, simulate
 from ssmr_torch.control.base import Command
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.models.structures import spectral_submanifold
+from ssmr_torch.models.named_structures import spectral_submanifold
 from ssmr_torch.plants.rig import Rig
 from ssmr_torch.status import Status
 from ssmr_torch.tasks.references import Task

@@ -15,8 +15,8 @@ from functools import partial
 import numpy as np
 from control_step import BOUNDS, ModelPlant, machine, measure, oscillators, perturbed, predictive
 
+from ssmr_torch.models.named_structures import koopman
 from ssmr_torch.models.polynomial import PolynomialModel
-from ssmr_torch.models.structures import koopman
 from ssmr_torch.tasks.obstacles import random_circles
 from ssmr_torch.tasks.references import figure_eight
 

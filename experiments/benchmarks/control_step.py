@@ -18,8 +18,8 @@ import numpy as np
 from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.control.settings import PredictiveControlSettings
 from ssmr_torch.models.monomials import count_monomials
+from ssmr_torch.models.named_structures import spectral_submanifold
 from ssmr_torch.models.polynomial import PolynomialModel
-from ssmr_torch.models.structures import spectral_submanifold
 from ssmr_torch.tasks.references import figure_eight
 
 # The paper's weights: 100 per mm² and 1e-5 per mN².

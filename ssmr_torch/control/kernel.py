@@ -10,7 +10,7 @@ import numpy as np
 
 from ssmr_torch.control.condensing import compiled, condensed, copy, split
 from ssmr_torch.control.kernel_tables import tables_of
-from ssmr_torch.models.polynomial import SCHEMES
+from ssmr_torch.models.structure import SCHEMES
 
 RUNGE_KUTTA, EULER = SCHEMES.index("runge_kutta"), SCHEMES.index("euler")
 

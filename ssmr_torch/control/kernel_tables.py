@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ssmr_torch.models.monomials import Monomials
-from ssmr_torch.models.polynomial import SCHEMES
 from ssmr_torch.models.split import derivative_table, output_table, products, split, trimmed
+from ssmr_torch.models.structure import SCHEMES
 
 # A number of a column that is summed up alone takes as long as so many of whole tables.
 SCATTERED = 3

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ssmr_torch.models.named_structures import koopman, koopman_structure
 from ssmr_torch.models.polynomial import PolynomialModel
-from ssmr_torch.models.structures import koopman, koopman_structure
 from ssmr_torch.models.torch_model import TorchModel, table
 
 

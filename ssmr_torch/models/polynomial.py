@@ -4,51 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
 from ssmr_torch.models.arrays import Array, identity, like, namespace
 from ssmr_torch.models.base import Linearization, Model, OutputLinearization, around
 from ssmr_torch.models.integrators import map_linearization, repeated_map, rk4_linearization, rk4_step
-from ssmr_torch.models.monomials import Form, Monomials, on_device
+from ssmr_torch.models.monomials import Form, on_device
 from ssmr_torch.models.saturation import saturated
+from ssmr_torch.models.structure import Structure
 from ssmr_torch.periods import whole_multiple
-
-SCHEMES = ("runge_kutta", "euler", "map")
-
-
-class Structure(NamedTuple):
-    """Which monomials a polynomial model is made of, and how its forms follow each other; integers and words only.
-
-    chart: over ζ, entries `window_order` of [ŷ, û], the window and the inputs held within it, flattened oldest first.
-    parametrization: over z. dynamics: over (z, u).
-    scheme: "runge_kutta", the dynamics are dz/dt, and a step is of order four with the input held; "euler", they are
-    (z⁺ − z) / base_timestep; "map", they are z⁺ after base_timestep.
-    saturated: terms of the dynamics beyond those linear in z see s(z), see `saturation`, with `state_scale` as edge.
-    relift: the map gives ζ alone, which the chart's monomials lift anew, z⁺ = ψ(f(z, u)).
-    """
-
-    chart: Monomials
-    window_order: tuple[int, ...]
-    parametrization: Monomials
-    dynamics: Monomials
-    scheme: str = "map"
-    saturated: bool = False
-    relift: bool = False
-
-
-    def plain(self) -> dict:
-        """As JSON has it: monomials as their number of variables and their factors."""
-        found = self._asdict()
-        return found | {name: [each.variables, each.factors] for name, each in found.items()
-                        if isinstance(each, Monomials)}
-
-    @classmethod
-    def from_plain(cls, plain: dict) -> Structure:
-        """What `plain` gave. Raises ValueError or TypeError where it is none."""
-        monomials = {name: Monomials(*plain[name]) for name in ("chart", "parametrization", "dynamics")}
-        return cls(**(plain | monomials | {"window_order": tuple(plain["window_order"])}))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -77,7 +43,13 @@ class PolynomialModel(Model):
 
     def __post_init__(self):
         super().__post_init__()
-        _check(self)
+        self.structure.check(self.state_dim, self.input_dim, self.window_dim + self.delays * self.input_dim,
+                             {name: getattr(self, name).shape for name in ("chart", "parametrization", "dynamics")})
+        if int(self.substeps) != self.substeps or self.substeps < 1:
+            raise ValueError(f"substeps is {self.substeps}; expected a whole number, 1 or more")
+        if not self.flow and self.base_timestep is None:
+            object.__setattr__(self, "base_timestep", self.timestep)
+        _ = self.repeats
 
     def plain(self) -> dict:
         return super().plain() | {"structure": self.structure.plain()}
@@ -293,35 +265,3 @@ class PolynomialModel(Model):
 
     def linearize(self, z: Array, u: Array) -> Linearization:
         return around(*self.step_jacobians(z, u), z, u)
-
-
-def _check(model: PolynomialModel) -> None:
-    structure, n = model.structure, model.state_dim
-    if structure.scheme not in SCHEMES:
-        raise ValueError(f"scheme is {structure.scheme!r}; expected one of {SCHEMES}")
-    if structure.relift and structure.scheme != "map":
-        raise ValueError(f"scheme is {structure.scheme!r} with relift; only a map's observables are lifted anew")
-    if structure.chart.variables != len(structure.window_order):
-        raise ValueError(f"the chart has {structure.chart.variables} variables, window_order "
-                         f"{len(structure.window_order)} entries; expected as many")
-    rows = structure.chart.variables if structure.relift else n
-    lifted = len(model.chart) == 0
-    expected = {"chart": ((0 if lifted else n), len(structure.chart)),
-                "dynamics": (rows, len(structure.dynamics)),
-                "parametrization": (len(model.parametrization), len(structure.parametrization))}
-    for name, shape in expected.items():
-        if tuple(getattr(model, name).shape) != shape:
-            raise ValueError(f"the table {name} has shape {tuple(getattr(model, name).shape)}; {n} states and the "
-                             f"structure need {shape}")
-    if lifted and len(structure.chart) != n:
-        raise ValueError(f"z is the chart's monomials themselves, {len(structure.chart)} of them; state_scale has {n}")
-    if (structure.dynamics.variables, structure.parametrization.variables) != (n + model.input_dim, n):
-        raise ValueError(f"the dynamics have {structure.dynamics.variables} variables and the parametrization "
-                         f"{structure.parametrization.variables}; expected n + m = {n + model.input_dim} and n = {n}")
-    if model.flow:
-        if int(model.substeps) != model.substeps or model.substeps < 1:
-            raise ValueError(f"substeps is {model.substeps}; expected a whole number, 1 or more")
-    else:
-        if model.base_timestep is None:
-            object.__setattr__(model, "base_timestep", model.timestep)
-        _ = model.repeats

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ssmr_torch.models.structures import ssm_structure
+from ssmr_torch.models.named_structures import ssm_structure
 from ssmr_torch.models.torch_model import PolynomialTorchModel, check_degrees, table
 
 

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from ssmr_torch.models.base import Linearization, Model, OutputLinearization, Rollout
-from ssmr_torch.models.polynomial import PolynomialModel, Structure
+from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.models.structure import Structure
 
 
 @torch.no_grad()

@@ -11,7 +11,7 @@ from ssmr_torch.control.base import Command, Controller
 from ssmr_torch.control.lqr import StaticPregainController
 from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.control.observers import KalmanObserver
-from ssmr_torch.models.structures import koopman
+from ssmr_torch.models.named_structures import koopman
 from ssmr_torch.tasks.obstacles import Circle
 from ssmr_torch.tasks.references import figure_eight
 

@@ -8,7 +8,7 @@ import pytest
 from ssmr_torch.control.horizon import CompiledHorizon, LinearHorizon, LinearizedHorizon, horizon_for
 from ssmr_torch.control.problem import TrackingProblem
 from ssmr_torch.models.monomials import count_monomials, graded
-from ssmr_torch.models.structures import control_augmented, control_augmented_structure, koopman
+from ssmr_torch.models.named_structures import control_augmented, control_augmented_structure, koopman
 
 
 def problem_of(bench, horizon=6, **changes):

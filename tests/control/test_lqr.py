@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 
 from ssmr_torch.closed_loop import simulate
 from ssmr_torch.control.lqr import STATE_WEIGHT, StaticPregainController, completion, regulator_gain
-from ssmr_torch.models.structures import koopman
+from ssmr_torch.models.named_structures import koopman
 from ssmr_torch.status import Status
 from ssmr_torch.tasks.references import figure_eight
 

@@ -9,7 +9,7 @@ from ssmr_torch.closed_loop import simulate
 from ssmr_torch.control.any_qp import QPSolvers
 from ssmr_torch.control.qp import QPSolution
 from ssmr_torch.control.solvers.proxqp import ProxQP
-from ssmr_torch.models.structures import koopman, ssm_structure
+from ssmr_torch.models.named_structures import koopman, ssm_structure
 from ssmr_torch.status import Status
 from ssmr_torch.tasks.references import Task, figure_eight
 

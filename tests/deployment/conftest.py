@@ -17,8 +17,9 @@ from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.models.monomials import Monomials, graded
 from ssmr_torch.models.neural_ode import NeuralODE
-from ssmr_torch.models.polynomial import SCHEMES, PolynomialModel, Structure
+from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.models.structure import SCHEMES, Structure
 from ssmr_torch.models.tpwl import TPWL
 
 CONTRACT = Path(__file__).resolve().parents[1] / "models" / "test_contract.py"

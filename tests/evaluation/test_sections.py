@@ -20,7 +20,7 @@ from ssmr_torch.evaluation.sections import (
     training_figures,
     training_section,
 )
-from ssmr_torch.models.structures import spectral_submanifold
+from ssmr_torch.models.named_structures import spectral_submanifold
 from ssmr_torch.trajectory import Trajectory
 
 TIME = 0.01 * np.arange(151)

@@ -11,8 +11,8 @@ from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.monomials import Monomials, graded
 from ssmr_torch.models.neural_ode import NeuralODE
-from ssmr_torch.models.polynomial import Structure
 from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.models.structure import Structure
 from ssmr_torch.models.torch_model import PolynomialTorchModel, table
 from ssmr_torch.trajectory import Trajectory
 

@@ -1,7 +1,7 @@
 """A polynomial model of one's own: its structure, the shapes of its tables, and nothing else."""
 
 from ssmr_torch.models.monomials import Monomials, graded
-from ssmr_torch.models.polynomial import Structure
+from ssmr_torch.models.structure import Structure
 from ssmr_torch.models.torch_model import PolynomialTorchModel, table
 
 

@@ -11,7 +11,8 @@ from functools import lru_cache
 
 from ssmr_torch.models.arrays import Array, identity, namespace
 from ssmr_torch.models.monomials import Monomials, graded
-from ssmr_torch.models.polynomial import PolynomialModel, Structure
+from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.models.structure import Structure
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
