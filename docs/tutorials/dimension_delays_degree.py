@@ -49,7 +49,8 @@ def fit(data, state_dim=6, delays=2, degree=3):
     trainer = partial(lightning.Trainer, accelerator="cpu", devices=1, use_distributed_sampler=False,
                       enable_model_summary=False, enable_progress_bar=False)
     with tempfile.TemporaryDirectory() as directory:
-        training = train(data, directory=directory, trainer=trainer, fits={"closed_form": least_squares},
+        training = train(data, directory=directory, trainer=trainer,
+                         fits={"closed_form": partial(least_squares, ridge=0.0)},
                          model=partial(SSMR, state_dim=state_dim, delays=delays, parametrization_degree=degree,
                                        dynamics_degree=degree, substeps=2),
                          module=partial(TrajectoryDataModule, validation_share=0, transient=0.1, score_test=False))

@@ -42,7 +42,8 @@ def learn():
     trainer = partial(lightning.Trainer, accelerator="cpu", devices=1, use_distributed_sampler=False,
                       enable_model_summary=False, enable_progress_bar=False)
     with tempfile.TemporaryDirectory() as directory:
-        return train(data, directory=directory, trainer=trainer, fits={"closed_form": least_squares},
+        return train(data, directory=directory, trainer=trainer,
+                     fits={"closed_form": partial(least_squares, ridge=0.0)},
                      model=partial(SSMR, state_dim=6, delays=1, parametrization_degree=3, dynamics_degree=3,
                                    substeps=2),
                      module=partial(TrajectoryDataModule, validation_share=0, transient=0.1)).model.reduced.numpy()
