@@ -102,7 +102,7 @@ def score_open_loop(model, trajectories: Iterable, *, horizons: Sequence[float] 
 
         error of a start = √(1/H Σ_{k=1..H} ‖ŷ_k − y_k‖²) over the columns `outputs` (default all), m
 
-    model: a Torch `ReducedModel`, a NumPy model with the same methods, or a `Predictor`. horizons: s.
+    model: a `Model`, who offers one (`reduced`: a Torch module, a trained model), or a `Predictor`. horizons: s.
     Per horizon, `starts` different samples (all, where there are fewer) are drawn uniformly over those with
     `margin` samples before them (default: what the window needs, at least 1) and the horizon after them in
     their trajectory; the draw depends on seed, margin and trajectories, not on the model. "full" is one
