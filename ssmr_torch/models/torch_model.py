@@ -119,7 +119,7 @@ class TorchModel(nn.Module, ABC):
 
         chart (n, (n_d + 1) p + n_d m), parametrization (p, n), A (n, n), B (n, m). Called within torch.no_grad().
         """
-        raise NotImplementedError(f"{type(self).__name__} does not say how it begins as a linear model")
+        raise ValueError(f"{type(self).__name__} does not say how it begins as a linear model; write its method `begin`")
 
     def scales(self) -> dict[str, Tensor]:
         """The size of a step for each coefficient, by the parameters' names: an optimizer sees θ / scale. Those that
