@@ -119,7 +119,8 @@ class TorchModel(nn.Module, ABC):
 
         chart (n, (n_d + 1) p + n_d m), parametrization (p, n), A (n, n), B (n, m). Called within torch.no_grad().
         """
-        raise ValueError(f"{type(self).__name__} does not say how it begins as a linear model; write its method `begin`")
+        raise ValueError(f"{type(self).__name__} does not say how it begins as a linear model; write its method "
+                         "`begin`")
 
     def scales(self) -> dict[str, Tensor]:
         """The size of a step for each coefficient, by the parameters' names: an optimizer sees θ / scale. Those that
@@ -193,12 +194,10 @@ class FixedModel(TorchModel):
         self.model = model
         for name, array in model.arrays.items():
             tensor = torch.tensor(array, dtype=torch.float64)
-            # torch.export cannot store what is registered and empty
-            self.__dict__.pop(name, None)
             if tensor.numel():
                 self.register_buffer(name, tensor)
-            else:
-                object.__setattr__(self, name, tensor)
+            else:  # torch.export cannot store what is registered and empty
+                setattr(self, name, tensor)
 
     @property
     def reduced(self) -> Model:
