@@ -10,8 +10,7 @@ Plant ─collect→ Trajectories ─fit→ Model ─export→ Artifact ─→ Co
     print(ssmr.score(model, data))                 # horizons × (model, persistence, constant velocity)
     outputs = model.predict(window, inputs)
     model.save("artifact"); model = ssmr.load("artifact")
-    controller = ssmr.ModelPredictiveController(model.reduced, task, plant.input_bounds,
-                                                output_names=plant.output_names)
+    controller = ssmr.ModelPredictiveController(model, task, plant.input_bounds, output_names=plant.output_names)
     record = ssmr.simulate(plant, controller, task)
 
 Units are SI throughout (m, s, kg, N). Observations are displacements from the rest position. Every object prints itself

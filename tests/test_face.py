@@ -2,6 +2,7 @@
 
 import ast
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -251,7 +252,8 @@ def test_a_fit_equals_the_command_to_the_last_bit(data, tmp_path):
     model = ssmr.fit(stored, "ssmr", state_dim=4, transient=0.05, progress=False)
     subprocess.run([sys.executable, ROOT / "experiments" / "train.py", f"data.path={tmp_path / 'data.h5'}",
                     "model=ssmr", "model.state_dim=4", "module.transient=0.05", "logger=csv", "figures=false",
-                    f"hydra.run.dir={tmp_path / 'run'}"], check=True, capture_output=True)
+                    f"hydra.run.dir={tmp_path / 'run'}"], check=True, capture_output=True,
+                   env=os.environ | {"OMP_NUM_THREADS": str(torch.get_num_threads())})  # sums are split by threads
     trained, card = load_model(tmp_path / "run" / "model.ckpt")
     found = model.module.state_dict()
     assert all(torch.equal(value, found[name]) for name, value in trained.state_dict().items())

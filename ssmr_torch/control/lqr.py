@@ -10,6 +10,7 @@ from scipy.linalg import solve_discrete_are
 from ssmr_torch.control.base import Command, whole_steps
 from ssmr_torch.control.settings import PredictiveControlSettings as Predictive
 from ssmr_torch.keywords import configurable
+from ssmr_torch.models.polynomial import PregainModel
 from ssmr_torch.status import Status
 
 # of the states that no output shows; it keeps the Riccati equation solvable
@@ -38,7 +39,7 @@ class StaticPregainController:
                  period: float = Predictive.period, output_weight: float = Predictive.output_weight,
                  input_weight: float = Predictive.input_weight, horizon: int | None = None, safe_input=None):
         model = model.reduced
-        if not len(getattr(model, "pregain", ())) or not model.affine or model.structure.chart.highest > 1:
+        if not isinstance(model, PregainModel) or not model.affine or model.structure.chart.highest > 1:
             raise ValueError("this controller takes a linear Koopman model with a pregain; train one with "
                              "model=koopman_lqr on data with static runs")
         self.timestep = float(model.window_timestep if timestep is None else timestep)

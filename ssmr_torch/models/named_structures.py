@@ -6,25 +6,12 @@ others published come in through them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 from ssmr_torch.models.arrays import Array, identity, namespace
 from ssmr_torch.models.monomials import Monomials, graded
-from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.models.polynomial import PolynomialModel, PregainModel
 from ssmr_torch.models.structure import Structure
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class PregainModel(PolynomialModel):
-    """A polynomial model that also knows set points, for the controller of that name.
-
-    pregain G (m, 1 + p): u = G [1, y] at rest. set_points (1 + p, 1 + p): triangular factor of the mean of
-    [1, y]ᵀ [1, y] over the set points behind it.
-    """
-
-    pregain: Array
-    set_points: Array
 
 
 @lru_cache(maxsize=256)

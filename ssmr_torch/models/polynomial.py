@@ -265,3 +265,15 @@ class PolynomialModel(Model):
 
     def linearize(self, z: Array, u: Array) -> Linearization:
         return around(*self.step_jacobians(z, u), z, u)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PregainModel(PolynomialModel):
+    """A polynomial model that also knows set points, for the controller of that name.
+
+    pregain G (m, 1 + p): u = G [1, y] at rest. set_points (1 + p, 1 + p): triangular factor of the mean of
+    [1, y]ᵀ [1, y] over the set points behind it.
+    """
+
+    pregain: Array
+    set_points: Array
