@@ -81,25 +81,30 @@ class NeuralModel(Model):
 
     def rate(self, z: Array, u: Array) -> Array:
         """dz/dt, (..., n)."""
-        return (self._affine(z) @ _with_one(u))[..., 0]
+        return self._rate(z, _with_one(u))
 
-    def rate_jacobians(self, z: Array, u: Array) -> tuple[Array, Array]:
-        """∂(dz/dt)/∂z (..., n, n) and G (..., n, m)."""
-        first, table, _ = self.operators
-        held = (table.swapaxes(1, 2) @ _with_one(u)[..., None, :, :])[..., 0]
+    def _rate(self, z: Array, weights: Array) -> Array:
+        """dz/dt with weights [1, u], (..., 1 + m, 1), which stay while u is held."""
+        return (self._affine(z) @ weights)[..., 0]
+
+    def _jacobians(self, z: Array, held: Array) -> tuple[Array, Array]:
+        """∂(dz/dt)/∂z (..., n, n) and G (..., n, m); held (..., n, n + w): the table weighted by [1, u]."""
         layers = self._layers(z)
-        J = (1 - layers[0] ** 2)[..., None] * first
+        J = (1 - layers[0] ** 2)[..., None] * self.operators[0]
         for layer, weight in zip(layers[1:], self.hidden_weight):
             J = (1 - layer ** 2)[..., None] * (weight @ J)
         n = self.state_dim
         return held[..., :n] + held[..., n:] @ J, self._affine(z)[..., 1:]
 
     def step(self, z: Array, u: Array) -> Array:
-        return rk4_step(lambda x: self.rate(x, u), z, self.timestep, self.substeps)
+        weights = _with_one(u)
+        return rk4_step(lambda x: self._rate(x, weights), z, self.timestep, self.substeps)
 
     def step_jacobians(self, z: Array, u: Array) -> tuple[Array, Array, Array]:
         """`step`, ∂z⁺/∂z (..., n, n) and ∂z⁺/∂u (..., n, m)."""
-        return rk4_linearization(lambda x: self.rate(x, u), lambda x: self.rate_jacobians(x, u), z,
+        weights = _with_one(u)
+        held = (self.operators[1].swapaxes(1, 2) @ weights[..., None, :, :])[..., 0]
+        return rk4_linearization(lambda x: self._rate(x, weights), lambda x: self._jacobians(x, held), z,
                                  identity(z, self.state_dim), self.timestep, self.substeps)
 
     def linearize(self, z: Array, u: Array) -> Linearization:
