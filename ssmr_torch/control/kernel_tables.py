@@ -58,14 +58,13 @@ class KernelTables(NamedTuple):
 def tables_of(model) -> KernelTables:
     """The kernel's tables of a `PolynomialModel` whose observables are not lifted anew."""
     count = 4 * model.substeps if model.flow else model.repeats
-    states, folded = _folded(model)
+    states, inputs, folded = _folded(model)
     joint_states, joint = _joint(model)
     variables = model.state_dim
     if _work(joint, count) < _work(folded, count):
         states, folded, variables = joint_states, joint, joint_states.variables
     output = output_table(model.output_form, states)
     by_state = _of_variables(output, states, 0, model.state_dim)
-    inputs = Monomials(model.input_dim, _of_input(model))
     return KernelTables(
         _index(products(states)), _index(products(inputs)), *folded, output, by_state,
         np.ascontiguousarray(model.linear_part), np.array(model.edge if model.structure.saturated else ()), variables,
@@ -73,8 +72,8 @@ def tables_of(model) -> KernelTables:
         model.timestep / model.substeps if model.flow else model.base_timestep, count)
 
 
-def _folded(model) -> tuple[Monomials, tuple]:
-    """Monomials of z, and free, columns, terms, fields of f, ∂f/∂z and ∂f/∂u with the input folded in."""
+def _folded(model) -> tuple[Monomials, Monomials, tuple]:
+    """Monomials of z and of u; free, columns, terms, fields of f, ∂f/∂z and ∂f/∂u with the input folded in."""
     n, m = model.state_dim, model.input_dim
     found = split(model.dynamics_form, n, model.structure.parametrization)
     by_input = [(j * found.columns_u + first, count, offset, place, factor)
@@ -82,7 +81,7 @@ def _folded(model) -> tuple[Monomials, tuple]:
     free_u = np.zeros((n, m * found.columns_u))
     for column, count, offset, _, factor in [run for run in by_input if run[3] == 0]:  # what is linear in u
         free_u[:, column:column + count] += factor * found.fields[:, offset:offset + count]
-    return found.states, (
+    return found.states, found.inputs, (
         found.free, *_by_column(_plain(found.runs), found.fields),
         found.free_z, *_by_column(_plain(found.runs_z), found.fields_z),
         free_u, *_by_column([run for run in by_input if run[3]], found.fields))
@@ -103,13 +102,6 @@ def _of_variables(table: np.ndarray, states: Monomials, first: int, last: int) -
     """∂(table · closure)/∂x_j for first ≤ j < last, (rows (last − first), ·)."""
     whole = derivative_table(table, states).reshape(len(table), states.variables, -1)[:, first:last]
     return trimmed(np.ascontiguousarray(whole).reshape(len(table) * (last - first), -1))
-
-
-def _of_input(model) -> list[tuple[int, ...]]:
-    """The monomials of u alone that the monomials of the dynamics hold."""
-    n = model.state_dim
-    held = (tuple(factor - n for factor in row if factor >= n) for row in model.structure.dynamics.factors)
-    return sorted({row for row in held if row}, key=lambda row: (len(row), row))
 
 
 def _work(tables: tuple, count: int) -> int:

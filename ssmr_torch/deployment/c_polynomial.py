@@ -10,7 +10,7 @@ import numpy as np
 from ssmr_torch.deployment import c_polynomial_text as text
 from ssmr_torch.deployment.c_steps import FLOW, flow_scratch, map_scratch, map_steps
 from ssmr_torch.deployment.c_text import Family, product, table, times
-from ssmr_torch.models.monomials import Form, Monomials
+from ssmr_torch.models.monomials import Form, Monomials, without
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.split import derivative_table, output_table, products, reach, split, trimmed
 
@@ -160,9 +160,7 @@ def _slopes(monomials: Monomials) -> list[np.ndarray]:
     found = []
     for row, factors in enumerate(monomials.factors):
         for variable in sorted(set(factors)):
-            rest = list(factors)
-            rest.remove(variable)
-            found.append((row, variable, monomials.position(tuple(rest)), factors.count(variable)))
+            found.append((row, variable, monomials.position(without(factors, variable)), factors.count(variable)))
     return list(np.array(found, dtype=np.int64).reshape(-1, 4).T)
 
 

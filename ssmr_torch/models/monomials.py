@@ -123,9 +123,8 @@ class Monomials:
         found = []
         for row, factors in enumerate(self.factors):
             for variable in {factor for factor in factors if first <= factor < last}:
-                rest = list(factors)
-                rest.remove(variable)
-                found.append((row, variable - first, self._position[tuple(rest)], factors.count(variable)))
+                found.append((row, variable - first, self._position[without(factors, variable)],
+                              factors.count(variable)))
         needed = np.array(sorted({position for _, _, position, _ in found}), dtype=np.int64)
         column = {int(position): k for k, position in enumerate(needed)}
         source = np.zeros((last - first, len(needed)), dtype=np.int64)
@@ -172,7 +171,7 @@ class Form:
         if (first, last) not in self._slopes:
             needed, source, multiplicity = self.monomials.derivative(first, last)
             slopes = self.table[:, on_device(self.table, source)] * like(self.table, multiplicity)
-            self._slopes[first, last] = needed, slopes.reshape(-1, len(needed))
+            self._slopes[first, last] = needed, slopes.reshape(len(self.table) * (last - first), len(needed))
         return self._slopes[first, last]
 
     def jacobian(self, closure: Array, first: int, last: int) -> Array:
@@ -180,6 +179,12 @@ class Form:
         needed, slopes = self.slopes(first, last)
         flat = closure[..., on_device(closure, needed)] @ slopes.T
         return flat.reshape(*flat.shape[:-1], len(self.table), last - first)
+
+
+def without(factors: tuple[int, ...], factor: int) -> tuple[int, ...]:
+    """The factors of a monomial that is divided by one of them."""
+    first = factors.index(factor)
+    return factors[:first] + factors[first + 1:]
 
 
 def on_device(array: Array, index: np.ndarray) -> Array:

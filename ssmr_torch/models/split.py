@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.models.monomials import Form, Monomials
+from ssmr_torch.models.monomials import Form, Monomials, without
 
 
 class Split(NamedTuple):
@@ -57,7 +57,7 @@ def split(form: Form, state_dim: int, also: Monomials | None = None) -> Split:
     runs_z, fields_z = _runs({placed[held]: derivative_table(table, states) for held, table in tables.items()},
                              rows * n)
     held_at = {place: held for held, place in placed.items()}
-    runs_u = [(inputs.position(_without(held_at[place], j)), held_at[place].count(j), j, *run)
+    runs_u = [(inputs.position(without(held_at[place], j)), held_at[place].count(j), j, *run)
               for place, *run in runs.tolist() for j in sorted(set(held_at[place]))]
     return Split(states, inputs, trimmed(free, runs), runs, fields, trimmed(derivative_table(free, states), runs_z),
                  runs_z, fields_z, np.array(runs_u, dtype=np.int64).reshape(-1, 6), reach(runs))
@@ -79,12 +79,6 @@ def reach(runs: np.ndarray) -> int:
     return int((runs[:, 1] + runs[:, 2]).max(initial=1))
 
 
-def _without(factors: tuple[int, ...], factor: int) -> tuple[int, ...]:
-    rest = list(factors)
-    rest.remove(factor)
-    return tuple(rest)
-
-
 def derivative_table(table: np.ndarray, monomials: Monomials) -> np.ndarray:
     """∂(table · c)/∂z as a table over the closure c, (r, columns of c) → (r n, ·)."""
     n, columns = monomials.variables, table.shape[1]
@@ -92,7 +86,7 @@ def derivative_table(table: np.ndarray, monomials: Monomials) -> np.ndarray:
     for k in np.flatnonzero(table.any(0)):
         factors = monomials.closure[k]
         for j in set(factors):
-            derivative[:, j, monomials.position(_without(factors, j))] += factors.count(j) * table[:, k]
+            derivative[:, j, monomials.position(without(factors, j))] += factors.count(j) * table[:, k]
     return derivative.reshape(len(table) * n, -1)
 
 
