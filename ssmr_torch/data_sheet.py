@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from math import isfinite
+from math import isfinite, isnan
 
 MOST = 6  # of the names and ranges that are listed one by one
 
@@ -122,7 +122,10 @@ def spans(names: Sequence[str], low: Sequence[float], high: Sequence[float], uni
 
 def stability(rates: Iterable[complex]) -> str:
     """How fast the slowest mode decays, of rates in 1/s; those that stand still, of constants, are left out."""
-    slowest = max((complex(rate) for rate in rates if abs(rate) > 1e-9), key=lambda rate: rate.real, default=None)
+    rates = [complex(rate) for rate in rates]
+    if any(isnan(abs(rate)) for rate in rates):
+        return "not known"
+    slowest = max((rate for rate in rates if abs(rate) > 1e-9), key=lambda rate: rate.real, default=None)
     if slowest is None:
         return "no mode moves"
     turning = f" ± {number(abs(slowest.imag))}i" if abs(slowest.imag) > 1e-9 else ""

@@ -82,7 +82,8 @@ class Model(DataSheet, ABC):
 
     def plain(self) -> dict:
         """Structure and plain values as JSON has them, such that `from_plain(arrays, plain)` is this model again."""
-        return {name: getattr(self, name) for name in self.plain_names()}
+        values = {name: getattr(self, name) for name in self.plain_names()}
+        return {name: value.item() if isinstance(value, np.generic) else value for name, value in values.items()}
 
     @classmethod
     def from_plain(cls, arrays: dict[str, Array], plain: dict) -> Self:
@@ -93,6 +94,10 @@ class Model(DataSheet, ABC):
     def arrays(self) -> dict[str, Array]:
         """The arrays by name."""
         return {name: getattr(self, name) for name in self.array_names()}
+
+    def __reduce__(self):
+        # a copy and what is unpickled are made anew: with read-only arrays, and without what was derived from others
+        return _made, (type(self), {field.name: getattr(self, field.name) for field in fields(self)})
 
     def with_arrays(self, change) -> Self:
         """The same model with change(array) in place of each array."""
@@ -150,9 +155,9 @@ class Model(DataSheet, ABC):
     @cached_property
     def rates(self) -> np.ndarray:
         """Eigenvalues λ of the dynamics linearized at z = 0, u = 0, (n,) 1/s: e^{λ timestep} are those of A."""
-        A = self.numpy().linearize(np.zeros(self.state_dim), np.zeros(self.input_dim)).A
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.log(np.linalg.eigvals(A).astype(complex)) / self.timestep
+        with np.errstate(invalid="ignore"):  # of a range that is infinite before a fit
+            A = self.numpy().linearize(np.zeros(self.state_dim), np.zeros(self.input_dim)).A
+        return continuous(eigenvalues(A), self.timestep)
 
     @abstractmethod
     def encode(self, window: Array, inputs: Array) -> Array:
@@ -213,6 +218,22 @@ class Model(DataSheet, ABC):
 def around(following: Array, A: Array, B: Array, z: Array, u: Array) -> Linearization:
     """The linearization with z⁺ = following at (z, u) and these Jacobians."""
     return Linearization(A, B, following - (A @ z[..., None])[..., 0] - (B @ u[..., None])[..., 0])
+
+
+def _made(family: type[Model], values: dict) -> Model:
+    return family(**values)
+
+
+def eigenvalues(matrix: np.ndarray) -> np.ndarray:
+    """Of a matrix (n, n), complex (n,); not numbers where the matrix is not finite."""
+    finite = np.isfinite(matrix).all()
+    return np.linalg.eigvals(matrix).astype(complex) if finite else np.full(len(matrix), complex("nan"))
+
+
+def continuous(factors: np.ndarray, time: float) -> np.ndarray:
+    """Rates λ, 1/s, of modes that e^{λ time} = factors multiplies within a time in s; −∞ of those that are gone."""
+    with np.errstate(divide="ignore"):
+        return np.log(np.abs(factors)) / time + 1j * (np.angle(factors) / time)
 
 
 def _norm(xp, z: Array) -> Array:

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from ssmr_torch.models.arrays import Array, identity, like, namespace
-from ssmr_torch.models.base import Linearization, Model, OutputLinearization, around
+from ssmr_torch.models.base import Linearization, Model, OutputLinearization, around, continuous, eigenvalues
 from ssmr_torch.models.integrators import map_linearization, repeated_map, rk4_linearization, rk4_step
 from ssmr_torch.models.monomials import Form, on_device
 from ssmr_torch.models.saturation import saturated
@@ -45,6 +45,13 @@ class PolynomialModel(Model):
         super().__post_init__()
         self.structure.check(self.state_dim, self.input_dim, self.window_dim + self.delays * self.input_dim,
                              {name: getattr(self, name).shape for name in ("chart", "parametrization", "dynamics")})
+        rows, scaled, seen = len(self.parametrization), len(self.window_scale), len(self.structure.window_order)
+        if rows not in (self.output_dim, self.window_dim):
+            raise ValueError(f"the parametrization has {rows} rows; expected {self.output_dim}, of the newest sample, "
+                             f"or {self.window_dim}, of the whole window")
+        if scaled not in (0, seen):
+            raise ValueError(f"window_scale has {scaled} entries; expected {seen}, one for each that the chart sees, "
+                             "or none")
         if int(self.substeps) != self.substeps or self.substeps < 1:
             raise ValueError(f"substeps is {self.substeps}; expected a whole number, 1 or more")
         if not self.flow and self.base_timestep is None:
@@ -108,12 +115,11 @@ class PolynomialModel(Model):
         """Eigenvalues λ of the linear part of the reduced dynamics, in continuous time, (n,) 1/s."""
         if self.structure.relift:
             return super().rates
-        values = np.linalg.eigvals(self.numpy().linear_part).astype(complex)
+        values = eigenvalues(self.numpy().linear_part)
         if self.flow:
             return values
-        with np.errstate(divide="ignore", invalid="ignore"):
-            h = self.base_timestep
-            return np.log(1.0 + h * values if self.structure.scheme == "euler" else values) / h
+        h = self.base_timestep
+        return continuous(1.0 + h * values if self.structure.scheme == "euler" else values, h)
 
     @cached_property
     def dynamics_form(self) -> Form:
@@ -141,10 +147,8 @@ class PolynomialModel(Model):
     def linear_part(self) -> Array:
         """∂f/∂z at rest, (·, n): the columns of the dynamics that multiply z alone."""
         needed, slopes = self.dynamics_form.slopes(0, self.state_dim)
-        constant = slopes[:, np.flatnonzero(needed == 0)]
-        if not constant.shape[1]:
-            return constant.sum(-1).reshape(len(self.dynamics), self.state_dim)
-        return constant.reshape(len(self.dynamics), self.state_dim)
+        constant = slopes[:, np.flatnonzero(needed == 0)]  # one column, or none where nothing is linear in z
+        return constant.sum(-1).reshape(len(self.dynamics), self.state_dim)
 
     def encode(self, window: Array, inputs: Array | None = None) -> Array:
         regressors = self.chart_regressors(window, inputs)
@@ -159,6 +163,9 @@ class PolynomialModel(Model):
         order, leading = self.structure.window_order, window.shape[:-2]
         seen = window.reshape(*leading, -1)
         if self.takes_past_inputs:
+            if inputs is None:
+                raise ValueError(f"this chart looks at the {self.delays} inputs held within a window; give them as "
+                                 f"well, (…, {self.delays}, {self.input_dim})")
             seen = namespace(seen).concatenate([seen, inputs.reshape(*leading, -1)], -1)
         if order != tuple(range(seen.shape[-1])):
             seen = seen[..., on_device(seen, np.array(order))]

@@ -51,6 +51,9 @@ class Structure(NamedTuple):
             raise ValueError(f"scheme is {self.scheme!r}; expected one of {SCHEMES}")
         if self.relift and self.scheme != "map":
             raise ValueError(f"scheme is {self.scheme!r} with relift; only a map's observables are lifted anew")
+        if self.relift and not lifted:
+            raise ValueError(f"relift with a chart of {shapes['chart'][0]} rows; a state that is lifted anew is the "
+                             "chart's monomials themselves, without a table (0 rows)")
         order = self.window_order
         if self.chart.variables != len(order) or not all(0 <= k < seen for k in order):
             raise ValueError(f"the chart has {self.chart.variables} variables, window_order {len(order)} entries from "

@@ -86,7 +86,8 @@ class TorchModel(nn.Module, ABC):
 
     def forward(self, window: Tensor, window_inputs: Tensor, inputs: Tensor) -> Tensor:
         """Outputs (..., H, p) at the ends of the next H steps under inputs (..., H, m), see `encode` for the others."""
-        return self.decode(self.reduced.states(self.encode(window, window_inputs), inputs)[..., 1:, :])
+        model = self.reduced
+        return model.decode(model.states(model.encode(window, window_inputs), inputs)[..., 1:, :])
 
     def encode(self, window: Tensor, inputs: Tensor | None = None) -> Tensor:
         """Chart z = v(window): (..., n_d + 1, p), inputs held between its samples (..., n_d, m) → (..., n)."""
@@ -129,8 +130,8 @@ class TorchModel(nn.Module, ABC):
         return {}
 
     def at_timestep(self, timestep: float) -> Self:
-        """The same model with `step` covering another time in s; the spacing of the window stays."""
-        again = type(self)(**(self.arguments | {"timestep": float(timestep)}))
+        """The same model, on the same device, with `step` covering another time in s; the window's spacing stays."""
+        again = type(self)(**(self.arguments | {"timestep": float(timestep)})).to(self.state_scale)
         again.load_state_dict(self.state_dict())
         _ = again.reduced  # which refuses a time that no whole number of its steps covers
         return again

@@ -1,6 +1,9 @@
 """What every reduced model promises. A new model joins by one line in MODELS."""
 
+import copy
 import io
+import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +13,11 @@ from ssmr_torch import artifact
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
 from ssmr_torch.models.koopman import Koopman
+from ssmr_torch.models.monomials import Monomials, graded
 from ssmr_torch.models.neural_ode import NeuralODE
+from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.models.structure import Structure
 from ssmr_torch.models.torch_model import FixedModel, PolynomialTorchModel
 from ssmr_torch.models.tpwl import TPWL
 
@@ -234,6 +240,28 @@ def test_the_exported_model_predicts_what_the_torch_model_predicts(model, batch,
     torch.testing.assert_close(again.step(z, u), model.step(z, u), rtol=1e-12, atol=1e-13)
 
 
+def test_the_rates_are_those_of_the_step_linearized_at_rest(model):
+    reduced = model.reduced.numpy()
+    factors = np.linalg.eigvals(reduced.linearize(np.zeros(model.state_dim), np.zeros(model.input_dim)).A)
+    size, angle = np.exp(reduced.timestep * reduced.rates.real), reduced.timestep * reduced.rates.imag
+    distances = np.abs((size * np.exp(1j * angle))[:, None] - factors)
+    assert max(distances.min(0).max(), distances.min(1).max()) <= 1e-5  # what a Runge-Kutta step leaves
+
+
+def test_a_copy_and_an_unpickled_model_are_made_anew_with_arrays_that_nobody_can_change(model, batch):
+    reduced = model.reduced.numpy()
+    expected = reduced.linearize(*(array.numpy() for array in batch))
+    for again in (copy.deepcopy(reduced), pickle.loads(pickle.dumps(reduced))):
+        for found, sought in zip(again.linearize(*(array.numpy() for array in batch)), expected):
+            np.testing.assert_array_equal(found, sought)
+        assert not any(array.flags.writeable for array in again.arrays.values())
+
+
+def test_another_timestep_keeps_the_precision(model):
+    double = 2 * model.timestep
+    assert copy.deepcopy(model).float().at_timestep(double).state_scale.dtype == torch.float32
+
+
 def test_another_timestep_is_the_same_flow(model, batch):
     z, u = batch
     if model.reduced.flow:
@@ -256,3 +284,40 @@ def test_another_timestep_is_the_same_flow(model, batch):
 def test_impossible_sizes_are_refused_with_the_numbers(change, message):
     with pytest.raises(ValueError, match=message):
         SSMR(**({"state_dim": 6, "input_dim": 4, "output_dim": 3, "delays": 1} | change))
+
+
+@pytest.mark.parametrize(("scheme", "factors", "rate"), [
+    ("runge_kutta", [(1,)], 0.0), ("euler", [(1, 1, 1)], 0.0), ("map", [(), (1,)], -np.inf), ("map", [], -np.inf),
+    ("runge_kutta", [(0,)], 0.5), ("euler", [(0,), (0, 0)], np.log(1.005) / 0.01), ("map", [(0,)], np.log(0.5) / 0.01)])
+def test_a_model_of_one_state_and_any_terms_has_the_rate_of_what_is_linear_in_it(scheme, factors, rate):
+    structure = Structure(graded(1, 1, 1), (0,), graded(1, 1, 1), Monomials(2, factors), scheme)
+    one = PolynomialModel(structure=structure, chart=np.ones((1, 1)), parametrization=np.ones((1, 1)),
+                          dynamics=np.full((1, len(factors)), 0.5), state_scale=np.ones(1), input_dim=1, output_dim=1,
+                          delays=0, timestep=0.01, window_timestep=0.01)
+    np.testing.assert_allclose(one.rates, [rate], rtol=1e-12)
+    assert repr(one)
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"parametrization": np.ones((2, 6))}, "2 rows; expected 3, of the newest sample, or 6, of the whole window"),
+    ({"window_scale": np.ones(2)}, "2 entries; expected 6"), ({"substeps": 0}, "0; expected a whole number")])
+def test_tables_that_fit_no_window_are_refused_with_both_numbers(change, message):
+    with pytest.raises(ValueError, match=message):
+        replace(random_ssmr(delays=1).reduced.numpy(), **change)
+
+
+@pytest.mark.parametrize("model", [NeuralODE(2, 1, 1, 3), SSMR(2, 1, 1, 3), Koopman(1, 1), TPWL(1, 1)])
+def test_a_model_that_was_not_fitted_yet_prints_itself(model):
+    assert "stability" in repr(model.reduced.numpy())
+
+
+def test_only_a_state_that_is_the_lifted_window_can_be_lifted_anew():
+    model = random_control_augmented().reduced.numpy()
+    with pytest.raises(ValueError, match="relift with a chart of 6 rows"):
+        replace(model, structure=model.structure._replace(scheme="map", relift=True))
+
+
+def test_a_chart_that_looks_at_inputs_says_so_where_they_are_missing():
+    model = random_control_augmented()
+    with pytest.raises(ValueError, match="inputs held within a window; give them"):
+        model.encode(torch.zeros(model.delays + 1, model.output_dim, dtype=torch.float64))
