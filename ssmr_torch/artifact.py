@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import save_file
 
 from ssmr_torch.lazy import found
 from ssmr_torch.models.base import Model
@@ -36,6 +36,9 @@ KINDS_BEFORE = {"polynomial": "ssmr_torch.models.named_structures:spectral_subma
                 "koopman": "ssmr_torch.models.named_structures:koopman",
                 "neural ODE": "ssmr_torch.models.neural:NeuralModel",
                 "TPWL": "ssmr_torch.models.piecewise_linear:PiecewiseLinearModel"}
+# What every card says, and of which type.
+CARD = {"format": str, "kind": str, "model": dict, "sha256": dict, "name": str, "units": dict, "output_names": list,
+        "input_names": list, "rest": list, "input_range": list}
 REPLAY_TOLERANCE = 1e-9
 DEPLOYED = "deployed"
 _HASHED = ("tables.safetensors", "reference.safetensors")
@@ -94,12 +97,7 @@ def load(directory: str | Path) -> Artifact:
     directory = Path(directory)
     if not (directory / "card.json").is_file():
         raise FileNotFoundError(f"no artifact at {directory} (no card.json); make one with ssmr export")
-    try:
-        card = json.loads((directory / "card.json").read_text())
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{directory / 'card.json'} is not valid JSON ({error}); export the model again") from error
-    if not isinstance(card, dict) or not {"format", "kind", "model", "sha256"} <= card.keys():
-        raise ValueError(f"{directory / 'card.json'} is not the card of an artifact; export the model again")
+    card = _card(directory / "card.json")
     if card["format"] not in (FORMAT, BEFORE) or (card["format"] == BEFORE and card["kind"] not in KINDS_BEFORE):
         raise ValueError(f"{directory} has format {card['format']!r} and kind {card['kind']!r}; this version reads "
                          f"{FORMAT!r}, and {BEFORE!r} of the kinds {sorted(KINDS_BEFORE)}")
@@ -109,7 +107,9 @@ def load(directory: str | Path) -> Artifact:
     if card["format"] == BEFORE:
         # a setting that is newer than the artifact has a default: what it was then
         settings = {name: value for name, value in card["model"].items() if name != "state_dim"}
-        model = found(KINDS_BEFORE[card["kind"]])(**load_file(directory / "tables.safetensors"), **settings)
+        arrays, _ = _stored(directory / "tables.safetensors")
+        with _needed(directory / "tables.safetensors", f"a model of the kind {card['kind']}"):
+            model = found(KINDS_BEFORE[card["kind"]])(**arrays, **settings)
     else:
         model = _load_tables(directory / "tables.safetensors")[0]
     _replay(directory, model)
@@ -157,14 +157,40 @@ def _save_tables(path: Path, model: Model, **noted) -> None:
               {"model": json.dumps(noted)})
 
 
-def _load_tables(path: Path) -> tuple[Model, dict]:
+def _card(path: Path) -> dict:
+    try:
+        card = json.loads(path.read_text())
+    except ValueError as error:  # no JSON, or no text
+        raise ValueError(f"{path} is not valid JSON ({error}); export the model again") from error
+    missing = [name for name in CARD if not isinstance(card, dict) or not isinstance(card.get(name), CARD[name])]
+    if missing:
+        raise ValueError(f"{path} is not the card of an artifact, it has no {', '.join(missing)}; export the model "
+                         "again")
+    return card
+
+
+def _stored(path: Path) -> tuple[dict[str, np.ndarray], dict]:
+    """The arrays of a file, and what is noted beside them. Raises ValueError where it is damaged."""
     try:
         with safe_open(path, "np") as file:
             noted = json.loads((file.metadata() or {}).get("model", "{}"))
-            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except SafetensorError as error:
+            return {name: file.get_tensor(name) for name in file.keys()}, noted  # noqa: SIM118
+    except (SafetensorError, ValueError) as error:
         raise ValueError(f"{path} is damaged ({error}); export the model again") from error
-    if not {"class", "plain"} <= noted.keys():
+
+
+@contextmanager
+def _needed(path: Path, what: str):
+    """Whatever a model makes of arrays and settings that are not its own, said of the file that they come from."""
+    try:
+        yield
+    except (TypeError, LookupError, ValueError, AttributeError, OverflowError, MemoryError) as error:
+        raise ValueError(f"{path} does not hold what {what} needs ({error}); export the model again") from error
+
+
+def _load_tables(path: Path) -> tuple[Model, dict]:
+    arrays, noted = _stored(path)
+    if not isinstance(noted, dict) or not {"class", "plain"} <= noted.keys():
         raise ValueError(f"{path} does not say which model its tables belong to; export the model again")
     try:
         family = found(noted["class"])
@@ -173,18 +199,15 @@ def _load_tables(path: Path) -> tuple[Model, dict]:
                          "its package") from error
     if not (isinstance(family, type) and issubclass(family, Model)):
         raise ValueError(f"{path} names {noted['class']}, which is no model; export the model again")
-    try:
+    with _needed(path, f"a {family.__name__}"):
         return family.from_plain(arrays, noted["plain"]), noted
-    except (TypeError, KeyError, IndexError) as error:
-        raise ValueError(f"{path} does not hold what a {family.__name__} needs ({error}); export the model again"
-                         ) from error
 
 
 def reference(directory: str | Path) -> dict[str, np.ndarray]:
     """The reference batch of an artifact: state (16, n), input (16, m), window (16, n_d + 1, p), window_input
-    (16, n_d, m), and what the model made of them when it was written.
+    (16, n_d, m), and what the model made of them when it was written. Raises ValueError where the file is damaged.
     """
-    return load_file(Path(directory) / "reference.safetensors")
+    return _stored(Path(directory) / "reference.safetensors")[0]
 
 
 def by_name(artifacts: list[Artifact]) -> dict[str, Model]:
@@ -263,10 +286,13 @@ def _predict(model: Model, reference: dict[str, np.ndarray]) -> dict[str, np.nda
 
 def _replay(directory: Path, model: Model) -> None:
     recorded = reference(directory)
-    for name, values in _predict(model, recorded).items():
+    with _needed(directory / "reference.safetensors", "the replay of this model"), np.errstate(all="ignore"):
+        predicted = _predict(model, recorded)
         # c and d are what remains of a state or an output, and mere rounding of it where the model is linear
-        size = np.abs(recorded[{"c": "following", "d": "decoded"}.get(name, name)]).max()
-        error = np.abs(values - recorded[name]).max() / max(size, 1e-300)
+        sizes = {name: np.abs(recorded[{"c": "following", "d": "decoded"}.get(name, name)]).max() for name in predicted}
+        errors = {name: np.abs(values - recorded[name]).max() / max(sizes[name], 1e-300)
+                  for name, values in predicted.items()}
+    for name, error in errors.items():
         if not error <= REPLAY_TOLERANCE:
             raise ValueError(f"{directory} no longer reproduces its reference: {name} differs by {error:.3g} relative, "
                              f"more than {REPLAY_TOLERANCE:g}; export the model again with this version")

@@ -5,12 +5,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from operator import attrgetter
 
 from ssmr_torch.extras import remedy
 
 
 def found(home: str):
-    """What "module:attribute" names; "module:" is the module itself.
+    """What "module:attribute" names, or "module:Class.attribute"; "module:" is the module itself.
 
     Raises ModuleNotFoundError, with the extra that brings it, where a package is missing.
     """
@@ -21,7 +22,7 @@ def found(home: str):
         if remedy(error) is None:
             raise
         raise ModuleNotFoundError(remedy(error), name=error.name) from error
-    return getattr(imported, attribute) if attribute else imported
+    return attrgetter(attribute)(imported) if attribute else imported
 
 
 def lazily(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], object], Callable[[], list[str]]]:

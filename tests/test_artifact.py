@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -180,9 +181,9 @@ def test_damaged_files_are_refused(saved, file, damage):
 
 @pytest.mark.parametrize(("text", "message"), [
     ("{not json", "not valid JSON"), ("", "not valid JSON"), ("[]", "not the card of an artifact"),
-    ("{}", "not the card of an artifact"), ('"text"', "not the card of an artifact")])
+    ("{}", "it has no format, kind"), ('"text"', "not the card of an artifact"), (b"\xff{}", "not valid JSON")])
 def test_a_card_that_is_none_is_refused(saved, text, message):
-    (saved / "card.json").write_text(text)
+    (saved / "card.json").write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(ValueError, match=message):
         artifact.load(saved)
 
@@ -337,3 +338,30 @@ print(model.step(np.full(4, 0.01), np.ones(2)).tolist())
 def test_a_score_that_is_infinite_because_rollouts_diverge_is_stored_as_null(tmp_path):
     path = artifact.save(tmp_path / "model", MODELS["curved"], **DATA, scores={"test/rmse": float("inf")})
     assert artifact.load(path).card["scores"] == {"test/rmse": None}
+
+
+@pytest.mark.parametrize("file", ["card.json", "tables.safetensors", "reference.safetensors"])
+@pytest.mark.parametrize("version", ["now", "0.7"])
+def test_a_changed_bit_or_a_missing_end_is_refused_in_one_sentence_even_with_a_forged_hash(tmp_path, file, version):
+    directory, rng = tmp_path / "artifact", np.random.default_rng(0)
+    old = artifact.load(Path(__file__).parent / "written_by_0_7" / "SSMR" / "artifact")
+    if version == "now":
+        artifact.save(directory, old.model, **{name: old.card[name] for name in
+                                               ("output_names", "input_names", "rest", "input_range")})
+    else:
+        shutil.copytree(Path(__file__).parent / "written_by_0_7" / "SSMR" / "artifact", directory)
+    card, content = (directory / "card.json").read_bytes(), (directory / file).read_bytes()
+    for trial in range(40):
+        damaged = bytearray(content if trial % 4 else content[:rng.integers(len(content))])
+        if trial % 4:
+            damaged[rng.integers(min(len(content), 3000))] ^= 1 << rng.integers(8)
+        (directory / "card.json").write_bytes(card)
+        (directory / file).write_bytes(damaged)
+        if file != "card.json":
+            forged = json.loads(card)
+            forged["sha256"][file] = hashlib.sha256(damaged).hexdigest()
+            (directory / "card.json").write_text(json.dumps(forged))
+        try:
+            artifact.load(directory)  # what changed may say nothing of the model, such as a name
+        except ValueError as error:
+            assert type(error) is ValueError and str(directory) in str(error) and "\n" not in str(error)
