@@ -49,3 +49,16 @@ class Controller(Protocol):
 def whole_steps(name: str, time: float, timestep: float) -> int:
     """How many measurements `timestep` s apart `time` s take. Raises ValueError when that is no whole number."""
     return whole_multiple(name, time, "the timestep of the measurements", timestep)
+
+
+def admissible_input(name: str, given, bounds: np.ndarray) -> np.ndarray:
+    """The input (m,) that was given; None: that within the bounds (2, m) which is nearest to zero.
+
+    Raises ValueError, with the name of the setting, where it is not m numbers within the bounds.
+    """
+    lower, upper = bounds
+    found = np.clip(0.0, lower, upper) if given is None else np.array(given, dtype=np.float64)
+    if found.shape != lower.shape or not ((lower <= found) & (found <= upper)).all():
+        raise ValueError(f"{name} is {found.tolist()}; expected {len(lower)} numbers between {lower.tolist()} and "
+                         f"{upper.tolist()}")
+    return found

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from ssmr_torch.control.base import Command, whole_steps
+from ssmr_torch.control.base import Command, admissible_input, whole_steps
+from ssmr_torch.control.estimation import ChartEstimator
 from ssmr_torch.control.settings import PredictiveControlSettings as Predictive
 from ssmr_torch.keywords import configurable
 from ssmr_torch.models.polynomial import PregainModel
@@ -38,14 +39,15 @@ class StaticPregainController:
     def __init__(self, model, task, input_bounds, *, timestep: float | None = None, output_names=None,
                  period: float = Predictive.period, output_weight: float = Predictive.output_weight,
                  input_weight: float = Predictive.input_weight, horizon: int | None = None, safe_input=None):
-        model = model.reduced
+        model = model.reduced.numpy()
         if not isinstance(model, PregainModel) or not model.affine or model.structure.chart.highest > 1:
             raise ValueError("this controller takes a linear Koopman model with a pregain; train one with "
                              "model=koopman_lqr on data with static runs")
         self.timestep = float(model.window_timestep if timestep is None else timestep)
         self.period = float(period)
         self._samples_per_step = whole_steps("period", period, self.timestep)
-        self._stride = whole_steps("the model's window_timestep", model.window_timestep, self.timestep)
+        self.estimator = ChartEstimator(model, whole_steps("the model's window_timestep", model.window_timestep,
+                                                           self.timestep))
         self.bounds = np.array(input_bounds, dtype=np.float64)
         self.model, self.task, self.columns = model, task, list(task.columns(output_names))
         self.completion = completion(model.set_points, self.columns)
@@ -57,17 +59,12 @@ class StaticPregainController:
         self.gain = np.zeros((model.input_dim, model.state_dim))
         self.gain[:, varying] = regulator_gain(A[varying][:, varying], B[varying], C.T @ (weight[:, None] * C),
                                                input_weight * np.eye(model.input_dim), horizon)
-        safe = np.clip(0.0, *self.bounds) if safe_input is None else np.array(safe_input, dtype=np.float64)
-        if safe.shape != (model.input_dim,) or not ((self.bounds[0] <= safe) & (safe <= self.bounds[1])).all():
-            raise ValueError(f"safe_input is {safe.tolist()}; expected {model.input_dim} numbers between "
-                             f"{self.bounds[0].tolist()} and {self.bounds[1].tolist()}")
-        self.safe_input = safe
+        self.safe_input = admissible_input("safe_input", safe_input, self.bounds)
         self.reset()
 
     def reset(self) -> None:
         """Forget measurements and counts."""
-        length = self.model.delays * self._stride
-        self._observations, self._inputs = deque(maxlen=length + 1), deque(maxlen=length)
+        self.estimator.reset()
         self._last_input, self._sample = self.safe_input, 0
         self.fallbacks: Counter[Status] = Counter()
 
@@ -76,14 +73,10 @@ class StaticPregainController:
         observation = np.array(observation, dtype=np.float64)
         if observation.shape != (self.model.output_dim,):
             raise ValueError(f"the observation has shape {observation.shape}; expected ({self.model.output_dim},)")
-        if not self._observations:
-            self._observations.extend([observation] * self._observations.maxlen)
-            self._inputs.extend([self._last_input] * self._inputs.maxlen)
-        self._observations.append(observation)
+        self.estimator.measure(observation, self._last_input)
         due = self._sample % self._samples_per_step == 0
         command = self._decide(time) if due else Command(self._last_input.copy(), held=True)
         self._last_input = command.input.copy()
-        self._inputs.append(self._last_input)
         self._sample += 1
         return command
 
@@ -93,8 +86,7 @@ class StaticPregainController:
 
     def _decide(self, time: float) -> Command:
         model = self.model
-        window = np.stack(list(self._observations)[::self._stride])
-        held = np.stack(list(self._inputs)[::self._stride]) if model.delays else np.empty((0, model.input_dim))
+        window, held = self.estimator.window()
         ages = model.window_timestep * np.arange(model.delays, -1, -1)
         wanted = self.completed(self.task.reference(np.maximum(time - ages, 0.0)))
         with np.errstate(over="ignore", invalid="ignore"):

@@ -8,7 +8,7 @@ from math import isfinite, sqrt
 import numpy as np
 
 from ssmr_torch import data_sheet as sheet
-from ssmr_torch.control.base import Command, whole_steps
+from ssmr_torch.control.base import Command, admissible_input, whole_steps
 from ssmr_torch.control.condensing import continues
 from ssmr_torch.control.constraints import constraints_of
 from ssmr_torch.control.estimation import ChartEstimator
@@ -51,7 +51,7 @@ class ModelPredictiveController(DataSheet):
     def __init__(self, model, task, input_bounds, settings: PredictiveControlSettings | None = None, *,
                  timestep: float | None = None, output_names=None, solver=None, **changes):
         settings = (PredictiveControlSettings() if settings is None else settings).changed(**changes)
-        self.model, self.task, self.settings = model.reduced, task, settings
+        self.model, self.task, self.settings = model.reduced.numpy(), task, settings
         model = self.model
         self.timestep = float(model.window_timestep if timestep is None else timestep)
         self.period = settings.period
@@ -61,7 +61,7 @@ class ModelPredictiveController(DataSheet):
             if settings.measurement_delay else 0
         self.problem = self._problem(input_bounds, output_names)
         self.horizon = horizon_for(model, self.problem)
-        self.safe_input = self._safe_input(settings.safe_input)
+        self.safe_input = admissible_input("safe_input", settings.safe_input, self.problem.input_bounds)
         self.solver = solver_named(settings.qp, *self.problem.size) if solver is None else solver
         # with a rate limit and obstacles a start one stage on was found to take more iterations, not fewer
         self._advance = None if self.problem.input_step is not None else getattr(self.solver, "advance", None)
@@ -102,15 +102,6 @@ class ModelPredictiveController(DataSheet):
         return TrackingProblem(_Reference(self.task, columns, p), input_bounds, weight * tracked,
                                settings.input_weight, settings.terminal_weight * tracked, settings.input_rate,
                                settings.horizon, settings.period, constraints)
-
-    def _safe_input(self, safe_input) -> np.ndarray:
-        zero = np.clip(0.0, *self.problem.input_bounds)
-        safe = zero if safe_input is None else np.array(safe_input, dtype=np.float64)
-        lower, upper = self.problem.input_bounds
-        if safe.shape != lower.shape or not ((lower <= safe) & (safe <= upper)).all():
-            raise ValueError(f"safe_input is {safe.tolist()}; expected {len(lower)} numbers "
-                             f"between {lower.tolist()} and {upper.tolist()}")
-        return safe
 
     def _warm_up(self) -> None:
         self.reset()

@@ -86,7 +86,10 @@ def _numbers(name: str, values) -> tuple | None:
     """Nested tuples of what was given; None where nothing was."""
     if values is None:
         return None
-    array = np.array(values, dtype=np.float64)
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):  # words, or rows of several lengths
+        array = np.array(np.nan)
     if not array.ndim or np.isnan(array).any():
         raise ValueError(f"{name} is {values}; expected a list of numbers, or None")
     return _tuples(array.tolist())

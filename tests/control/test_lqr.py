@@ -8,6 +8,7 @@ from scipy.optimize import minimize
 from ssmr_torch.closed_loop import simulate
 from ssmr_torch.control.lqr import STATE_WEIGHT, StaticPregainController, completion, regulator_gain
 from ssmr_torch.models.named_structures import koopman
+from ssmr_torch.models.torch_model import FixedModel
 from ssmr_torch.status import Status
 from ssmr_torch.tasks.references import figure_eight
 
@@ -153,3 +154,10 @@ def test_impossible_settings_are_refused():
         StaticPregainController(damped_masses(), TASK, BOUNDS, output_names=NAMES, safe_input=[99.0, 0.0])
     with pytest.raises(ValueError, match="horizon is 0"):
         regulator_gain(*random_system(), horizon=0)
+
+
+def test_a_torch_module_steers_as_its_model_does():
+    model = damped_masses()
+    ours, theirs = (StaticPregainController(each, TASK, BOUNDS, output_names=NAMES) for each in
+                    (FixedModel(model), model))
+    np.testing.assert_array_equal(ours(0.0, np.full(2, 1e-3)).input, theirs(0.0, np.full(2, 1e-3)).input)

@@ -10,6 +10,7 @@ from ssmr_torch.control.any_qp import QPSolvers
 from ssmr_torch.control.qp import QPSolution
 from ssmr_torch.control.solvers.proxqp import ProxQP
 from ssmr_torch.models.named_structures import koopman, ssm_structure
+from ssmr_torch.models.torch_model import FixedModel
 from ssmr_torch.status import Status
 from ssmr_torch.tasks.references import Task, figure_eight
 
@@ -123,6 +124,13 @@ def test_another_solver_steers_the_same_way(bench):
     np.testing.assert_allclose([c.input for c in ours], [c.input for c in theirs], atol=1e-4)
 
 
+@pytest.mark.parametrize("degrees", [(1, 0), (2, 1)])
+def test_a_torch_module_steers_as_its_model_does(bench, degrees):
+    model = bench.oscillators(0, *degrees)
+    ours, theirs = (run(controller_of(bench, model=each), bench, 6) for each in (FixedModel(model), model))
+    np.testing.assert_array_equal([command.input for command in ours], [command.input for command in theirs])
+
+
 class Recorder:
     """A model of delays that notes the windows that it is asked to encode."""
 
@@ -131,6 +139,9 @@ class Recorder:
 
     @property
     def reduced(self):
+        return self
+
+    def numpy(self):
         return self
 
     def __getattr__(self, name):

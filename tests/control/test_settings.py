@@ -29,6 +29,8 @@ TASK = figure_eight(laps=1.0)
     ({"input_weight": [1.0, 0.0]}, r"input_weight\[1\] is 0.0 1/N²"), ({"input_weight": None}, "not unique"),
     ({"input_rate": [np.nan]}, r"input_rate\[0\] is nan N/s"), ({"margins": [np.nan]}, "margins is"),
     ({"safe_input": 0.0}, "safe_input is 0.0; expected a list of numbers, or None"),
+    ({"safe_input": "none"}, "safe_input is none; expected a list of numbers, or None"),
+    ({"output_bounds": [[0.0], [1.0, 2.0]]}, "output_bounds is .*; expected a list of numbers"),
     ({"violation_weight": [1.0]}, "expected two numbers"), ({"observer": "kalman"}, "observer is 'kalman'"),
 ])
 def test_what_makes_no_sense_is_refused_with_what_was_given_and_what_was_expected(changes, said):
