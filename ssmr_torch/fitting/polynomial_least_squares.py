@@ -12,8 +12,7 @@ from ssmr_torch.data.windows import Segment, delay_windows
 from ssmr_torch.fitting.ssmr_least_squares import Regression
 from ssmr_torch.fitting.statistics import Solution, singular_values
 from ssmr_torch.models.torch_model import PolynomialTorchModel
-
-SAME_TIME = 1e-6  # relative
+from ssmr_torch.periods import TOLERANCE
 
 
 class PolynomialLeastSquares(nn.Module):
@@ -81,7 +80,7 @@ class PolynomialLeastSquares(nn.Module):
     def sampled_every(self, timestep: float) -> None:
         """Take the data's sampling time, s. Raises ValueError where it is not what a map or an Euler step covers."""
         model = self.model.reduced
-        if not model.flow and abs(model.base_timestep / timestep - 1) > SAME_TIME:
+        if not model.flow and abs(model.base_timestep / timestep - 1) > TOLERANCE:
             raise ValueError(f"a step of {type(self.model).__name__} covers {model.base_timestep} s, the data are "
                              f"sampled every {timestep} s; fit it at the data's sampling time, or resample the data")
 

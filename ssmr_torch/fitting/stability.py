@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from math import exp
 
 import torch
 from torch import Tensor
@@ -126,7 +127,7 @@ class StabilityGuard:
 
     def _excess(self, model: TorchModel) -> Tensor:
         """By how much Re λ of the linear part, in continuous time, exceeds −margin, (n,), 1/s."""
-        return _in_continuous_time(model, torch.linalg.eigvals(model.reduced.linear_part)).real + self.margin
+        return torch.as_tensor(model.reduced.rates.real) + self.margin
 
     @torch.no_grad()
     def stabilize(self, model: TorchModel) -> int:
@@ -144,7 +145,7 @@ class StabilityGuard:
             return torch.complex(torch.clamp(eigenvalues.real, max=-self.margin), eigenvalues.imag)
         offset, h = _of_steps(model)
         factors = offset + h * eigenvalues
-        largest = torch.exp(torch.as_tensor(-self.margin * model.base_timestep))
+        largest = exp(-self.margin * model.base_timestep)
         return (factors * torch.clamp(largest / factors.abs().clamp_min(1e-300), max=1.0) - offset) / h
 
 
@@ -182,14 +183,6 @@ def _settled(run, transient: float):
 def _of_steps(model: TorchModel) -> tuple[float, float]:
     """offset and h, such that an eigenvalue λ of the linear part multiplies the state by offset + h λ in a step."""
     return (1.0, model.base_timestep) if model.structure.scheme == "euler" else (0.0, 1.0)
-
-
-def _in_continuous_time(model: TorchModel, eigenvalues: Tensor) -> Tensor:
-    if model.reduced.flow:
-        return eigenvalues
-    offset, h = _of_steps(model)
-    factors = offset + h * eigenvalues
-    return torch.log(factors.abs().clamp_min(1e-300)) / model.base_timestep + 0j
 
 
 def _put_linear_part(model: TorchModel, linear: Tensor) -> None:

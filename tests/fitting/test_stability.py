@@ -59,6 +59,12 @@ def test_an_unstable_map_is_moved_onto_the_circle_that_the_margin_sets():
     torch.testing.assert_close(factors.angle().abs(), torch.full((2,), np.arctan2(0.05, 1.007), dtype=torch.float64))
 
 
+@pytest.mark.parametrize("margin", [0.03, 0.05, 0.1, 0.7, 1.3])
+def test_eigenvalues_that_were_moved_hold_in_double_precision(margin):
+    guard, model = StabilityGuard([run()], margin=margin), spiral(0.7, kind=ControlAugmentedSSMR)
+    assert guard.stabilize(model) == 2 and guard.stabilize(model) == 0
+
+
 @pytest.mark.parametrize("kind", [SSMR, ControlAugmentedSSMR])
 def test_nonlinear_terms_that_diverge_are_shrunk_by_the_largest_factor_that_does_not(kind):
     model = spiral(-0.5, cubic=40.0, kind=kind)
