@@ -51,6 +51,7 @@ def _dynamics(model: PolynomialModel) -> Piece:
     n, rows, saturates = model.state_dim, len(model.dynamics), model.structure.saturated
     parts = split(model.dynamics_form, n)
     linear, qf, qs = parts.states.highest <= 1, parts.columns_u, reach(parts.runs_z)
+    widest = int(parts.runs_u[:, 4].max(initial=0))
     free = _at_least(parts.free, 1 + n) if linear or saturates else parts.free
     sizes = {"R": rows, "Q": len(parts.states.closure), "QF": qf, "QU": len(parts.inputs.closure),
              "RUNS": len(parts.runs), "INPUT_RUNS": len(parts.runs_u)}
@@ -59,8 +60,8 @@ def _dynamics(model: PolynomialModel) -> Piece:
             + table("fields", parts.fields.T, "what monomials of the input add to it, column by column")
             + table("rate_runs", parts.runs, "monomial of the input, first column, how many, where in fields")
             + table("input_runs", parts.runs_u, "by the inputs: what is left of it, exponent, input, columns as above")
-            + _add_runs("add_rate_runs", rows) + product("run_times", rows, None) + product("held_rate_times", rows, qf)
-            + _rest("rest_rate_times", rows, free.shape[1] - qf))
+            + _add_runs("add_rate_runs", rows) + product("run_times", rows, None, most=widest)
+            + product("held_rate_times", rows, qf) + _rest("rest_rate_times", rows, free.shape[1] - qf))
     if not linear:
         sizes |= {"QS": qs, "SLOPE_RUNS": len(parts.runs_z)}
         code += (table("slope_free", parts.free_z.T, "Jacobian of the rate without input, column by column")

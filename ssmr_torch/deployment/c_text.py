@@ -36,27 +36,30 @@ def table(name: str, array: np.ndarray, note: str) -> str:
             + ",\n    ".join(rows) + "\n};\n\n")
 
 
-def product(function: str, rows: int, columns: int | None, stored: str | None = None, accumulate: bool = False) -> str:
+def product(function: str, rows: int, columns: int | None, stored: str | None = None, accumulate: bool = False,
+            most: int = 4) -> str:
     """A function out = table · x (or out += …), the table stored column by column.
 
     Rows are the inner loop, so that a compiler that may not reorder sums can still use vector instructions; four
     columns at a time, so that it need not wait for each sum. stored: the table's name; None: the function takes it as
-    its first argument. columns: None: the function takes how many, before x.
+    its first argument. columns: None: the function takes how many, before x; most: that is never more, and compilers
+    complain of four columns at a time that a table cannot have.
     """
+    fours = columns is not None or most >= 4
     given = "" if stored else "const double *restrict table, "
     given += "int columns, " if columns is None else ""
     whole, table = "whole" if columns is None else str(columns - columns % 4), stored or "table"
     each = [f"{table}[{f'(q + {k})' if k else 'q'} * {rows} + i] * x[{f'q + {k}' if k else 'q'}]" for k in range(4)]
     over_rows = f"        for (i = 0; i < {rows}; i++)\n            out[i] += "
     lines = [f"static void {function}({given}const double *restrict x, double *restrict out)\n{{\n"]
-    lines += ["    const int whole = columns - columns % 4;\n"] * (columns is None) + ["    int i, q;\n"]
+    lines += ["    const int whole = columns - columns % 4;\n"] * (columns is None and fours) + ["    int i, q;\n"]
     if not accumulate:
         lines += [f"    for (i = 0; i < {rows}; i++)\n        out[i] = 0.0;\n"]
     lines += [f"    for (q = 0; q < {whole}; q += 4)\n{over_rows}({each[0]} + {each[1]})\n"
-              f"                      + ({each[2]} + {each[3]});\n"]
+              f"                      + ({each[2]} + {each[3]});\n"] * fours
     if columns is None or columns % 4:
         end = "columns" if columns is None else columns
-        lines += [f"    for (q = {whole}; q < {end}; q++)\n{over_rows}{each[0]};\n"]
+        lines += [f"    for (q = {whole if fours else 0}; q < {end}; q++)\n{over_rows}{each[0]};\n"]
     return "".join(lines) + "}\n\n"
 
 

@@ -83,6 +83,17 @@ def of_no_name(scheme, relift=False):
         timestep=0.02, window_timestep=0.01, base_timestep=None if scheme == "runge_kutta" else 0.01, substeps=2)
 
 
+def of_few_terms():
+    """A map of two states without any linear term, whose products with the input are fewer than four."""
+    structure = Structure(graded(2, 1, 1), (0, 1), Monomials(2, [(), (0, 0)]),
+                          Monomials(3, [(0, 0), (0, 2), (1, 2), (2, 2)]), "map")
+    rng = np.random.default_rng(1)
+    return PolynomialModel(structure=structure, chart=np.eye(2), parametrization=rng.normal(size=(2, 2)),
+                           dynamics=0.5 * rng.normal(size=(2, 4)), state_scale=np.ones(2), input_dim=1, output_dim=2,
+                           delays=0, timestep=0.01, window_timestep=0.01)
+
+
+MODELS["of few terms"] = of_few_terms
 MODELS |= {f"of no name, {scheme}": lambda scheme=scheme: of_no_name(scheme) for scheme in SCHEMES}
 MODELS["of no name, lifted anew"] = lambda: of_no_name("map", relift=True)
 
