@@ -12,6 +12,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.types import RunMode
+from omegaconf import MissingMandatoryValue
 
 from ssmr_torch.configuration import register
 from ssmr_torch.extras import remedy
@@ -38,7 +39,7 @@ def entry_point(name: str):
                 return function(config, directory)
             except Exception as error:
                 cause = error.__cause__ or error if isinstance(error, InstantiationException) else error
-                missing = remedy(error)
+                missing = remedy(error) or not_given(error)
                 expected = missing or isinstance(cause, (ValueError, OSError)) or type(cause).__name__ in THEIRS
                 if not expected and HydraConfig.get().mode != RunMode.MULTIRUN:
                     raise
@@ -50,6 +51,13 @@ def entry_point(name: str):
         return hydra.main(version_base="1.3", config_path=CONF, config_name=name)(task)
 
     return decorate
+
+
+def not_given(error: Exception) -> str | None:
+    """What to say of a key that has no value, such as `data.path: ???`; None for any other error."""
+    if not isinstance(error, MissingMandatoryValue):
+        return None
+    return f"{error.full_key} is not given; it has no default: {error.full_key}=VALUE"
 
 
 def look_here() -> None:

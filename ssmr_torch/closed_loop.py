@@ -130,6 +130,13 @@ def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, 
     observation (p,) m, measurement (p,) m, the Command, and the s that it took to compute; what it raises ends the run.
     Raises ValueError when the control period is not a multiple of the plant's timestep.
     """
+    for what, given, parts in (("plant", plant, ("timestep", "output_names", "reset", "step")),
+                               ("controller", controller, ("period", "reset", "__call__")),
+                               ("task", task, ("duration", "reference", "columns"))):
+        lacking = [part for part in parts if not hasattr(given, part)]
+        if lacking:
+            raise TypeError(f"the {what} is {type(given).__name__}, which has no {', no '.join(lacking)}; "
+                            f"expected a {what}")
     _ = whole_multiple("the control period", controller.period, "the plant's timestep", plant.timestep)
     if not noise_std >= 0:
         raise ValueError(f"noise_std is {noise_std} m; expected zero or more")

@@ -10,6 +10,7 @@ from ssmr_torch.artifact import Artifact
 from ssmr_torch.evaluation.comparison import mean_and_median
 from ssmr_torch.evaluation.open_loop import HORIZONS, OpenLoopScore, compare_open_loop
 from ssmr_torch.trained_model import TrainedModel
+from ssmr_torch.trajectory import TrajectoryDataset
 
 
 class ScoreTable(Mapping):
@@ -73,7 +74,13 @@ def score(model, data, *, split: str = "test", kind: str = "controlled", horizon
     persistence 64 mm
     constant velocity 58 mm
     """
+    if not isinstance(data, TrajectoryDataset):
+        raise TypeError(f"data is a {type(data).__name__}; expected a TrajectoryDataset, which read, load and "
+                        "trajectories return")
     models = _by_name(model)
+    strange = [each for each in models.values() if not hasattr(each, "reduced")]
+    if strange:
+        raise TypeError(f"{strange[0]!r} is no model; expected what fit or load returns, or several of them")
     names = {each.output_names for each in models.values() if isinstance(each, TrainedModel)}
     if len(names) > 1:
         raise ValueError(f"the models observe different outputs {sorted(names)}; score those of the same ones together")

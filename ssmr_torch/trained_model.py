@@ -160,7 +160,12 @@ class TrainedModel(DataSheet):
             _array("window", window, delays + 1, p, f"samples of {sheet.listed(self.output_names)}, {apart}"),
             _array("inputs", inputs, None, m, f"{sheet.listed(self.input_names)}, held {self.sampling_time:g} s each"),
             _array("past_inputs", past_inputs, delays, m, "held between the samples of the window, oldest first")]
-        leading = np.broadcast_shapes(*(array.shape[:-2] for array in found))
+        batches = [array.shape[:-2] for array in found]
+        try:
+            leading = np.broadcast_shapes(*batches)
+        except ValueError as error:
+            raise ValueError(f"window, inputs and past_inputs are batches of {batches}, which do not fit; expected "
+                             "equal leading shapes, or none to share one") from error
         return tuple(np.broadcast_to(array, leading + array.shape[-2:]) for array in found)
 
     def save(self, folder: str | Path) -> Path:
@@ -179,8 +184,9 @@ class TrainedModel(DataSheet):
         """
         from ssmr_torch.deployment.deploy import deploy
 
-        if not formats:
-            raise ValueError('no formats were given; expected some of them, such as export(folder, "c", "onnx")')
+        if not formats or not all(isinstance(format, str) for format in formats):
+            raise ValueError('no formats were given, or not by name; expected some of them, such as '
+                             'export(folder, "c", "onnx")')
         forms: list = []
         self._save(folder, complete=lambda aside: forms.extend(deploy(aside, formats)))
         return forms

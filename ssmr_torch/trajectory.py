@@ -100,6 +100,10 @@ class TrajectoryDataset(DataSheet, Sequence):
         object.__setattr__(self, "input_names", tuple(self.input_names))
         if not self.trajectories:
             raise ValueError("the dataset holds no trajectory; at least one is needed")
+        for what, names in (("outputs", self.output_names), ("inputs", self.input_names)):
+            twice = sorted({name for name in names if names.count(name) > 1})
+            if twice:
+                raise ValueError(f"two {what} are named {twice[0]!r}; give each a name of its own")
         if self.rest.shape != (self.output_dim,):
             raise ValueError(f"rest has shape {self.rest.shape}, but there are {self.output_dim} output names")
         for trajectory in self.trajectories:
@@ -131,7 +135,13 @@ class TrajectoryDataset(DataSheet, Sequence):
         return float(np.median([trajectory.timestep for trajectory in self.trajectories]))
 
     def select(self, split: str | None = None, kind: str | None = None) -> tuple:
-        """Trajectories of this split ("train", "validation", "test") and kind ("decay", "controlled", "static")."""
+        """Trajectories of this split ("train", "validation", "test") and kind ("decay", "controlled", "static").
+
+        Raises ValueError for a split or a kind that does not exist.
+        """
+        for what, asked, known in (("split", split, SPLITS), ("kind", kind, KINDS)):
+            if asked is not None and asked not in known:
+                raise ValueError(f"no {what} {asked!r}; expected one of {known}, or None for all")
         return tuple(t for t in self.trajectories
                      if (split is None or t.split == split) and (kind is None or t.kind == kind))
 

@@ -173,6 +173,13 @@ def test_another_file_is_refused(tmp_path):
         ClosedLoopRecord.load(tmp_path / "other.h5")
 
 
+@pytest.mark.parametrize("which", ["plant", "controller", "task"])
+def test_what_is_no_plant_controller_or_task_is_refused_with_what_it_lacks(which):
+    given = {"plant": Plant(), "controller": Proportional(TASK), "task": TASK} | {which: "trunk"}
+    with pytest.raises(TypeError, match=f"the {which} is str, which has no .*; expected a {which}"):
+        simulate(*given.values())
+
+
 def test_a_period_that_the_plant_cannot_keep_is_refused():
     controller = Proportional(TASK)
     controller.period = 0.015

@@ -76,6 +76,14 @@ def test_an_unknown_command_is_refused_with_the_list_and_the_nearest_one(capsys,
     assert "did you mean" not in said(capsys, monkeypatch, "nothing")[2]
 
 
+@pytest.mark.parametrize(("arguments", "key"), [
+    (["report"], "directory"), (["evaluate"], "artifact"), (["evaluate", "artifact=[]"], "data.path")])
+def test_a_key_that_must_be_given_is_named_in_one_sentence(arguments, key, tmp_path):
+    done = ssmr(*arguments, f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 1
+    assert done.stderr == f"{arguments[0]}: {key} is not given; it has no default: {key}=VALUE\n"
+
+
 def test_help_of_a_command_is_hydras():
     text = ssmr("train", "--help").stdout
     assert "== Configuration groups ==" in text and "model: dmd, edmd" in text

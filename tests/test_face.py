@@ -221,6 +221,10 @@ def cut_short(runs):
     (absolute, r"decays end 120 mm from zero.*y is the displacement from rest: subtract the rest position, \[4\.95"),
     (cut_short, r"controlled 1 has 2 outputs; expected 3, \['x', 'y', 'z'\]"),
     (lambda runs: runs.update(units={"length": "m"}), "read in m; expected between 0.001 and 2 m: .* like cm or mm"),
+    (lambda runs: runs.update(units="mm"), "units is 'mm'; expected a mapping, such as {'length': 'mm'"),
+    (lambda runs: runs.update(output_names=["x", "y", "x"]), "two outputs are named 'x'"),
+    (lambda runs: runs.update(decays=[(DT, np.ones((50, 3), dtype=complex), np.zeros((50, 2)))]),
+     "decay 1: y is not all numbers .*complex"),
     (lambda runs: runs.update(units={"lenght": "m"}), "unknown key 'lenght'; expected length, input, time"),
     (lambda runs: runs.update(output_names=["x", "y"]), "decay 1 has 3 outputs; expected 2"),
     (lambda runs: runs.update(decays=[(DT,)]), r"decay 1 of decays is no run; expected \(t, y, u\)"),
@@ -342,6 +346,7 @@ def test_a_model_finer_than_the_recordings_is_asked_for_their_step(data):
     ({"inputs": np.zeros((0, 2))}, "inputs has shape"),
     ({"past_inputs": np.zeros((2, 2))}, r"past_inputs has shape \(2, 2\); expected \(…, 1, 2\)"),
     ({"past_inputs": None}, r"the chart of this model sees the inputs .* give past_inputs \(…, 1, 2\)"),
+    ({"window": np.zeros((3, 2, 3)), "inputs": np.zeros((2, 5, 2))}, r"batches of \[\(3,\), \(2,\)"),
     ({"window": np.full((2, 3), np.nan)}, "window holds numbers that are not finite"),
 ])
 def test_arrays_of_another_shape_are_refused_with_what_is_expected(dmd, arguments, message):
@@ -374,6 +379,16 @@ def test_several_models_are_scored_from_the_same_starts(data, dmd):
     assert "<td>persistence</td>" in table._repr_html_() and "RMSE in mm" in repr(table)
 
 
+@pytest.mark.parametrize("given", ["trajectories.h5", [], None])
+def test_what_is_no_dataset_or_no_model_is_refused_by_name(data, dmd, given):
+    with pytest.raises(TypeError, match="expected a TrajectoryDataset, which read, load and"):
+        ssmr.score(dmd, given)
+    with pytest.raises(TypeError, match="expected a TrajectoryDataset, which read, load and"):
+        ssmr.fit(given, "dmd", progress=False)
+    with pytest.raises(TypeError, match="is no model; expected what fit or load returns"):
+        ssmr.score({"one": dmd, "other": given}, data)
+
+
 def test_data_without_test_runs_or_of_another_robot_are_refused(data, dmd):
     with pytest.raises(ValueError, match="no run of split='validation' to score on, only"):
         ssmr.score(dmd, data, split="validation")
@@ -399,6 +414,8 @@ def test_a_saved_model_predicts_the_same_and_keeps_its_card(data, dmd, tmp_path)
 def test_a_model_is_exported_with_its_artifact_or_not_at_all(dmd, tmp_path):
     with pytest.raises(ValueError, match="no format"):
         dmd.export(tmp_path / "artifact", "fortran")
+    with pytest.raises(ValueError, match="not by name; expected some of them"):
+        dmd.export(tmp_path / "artifact", ["c", "onnx"])
     assert not (tmp_path / "artifact").exists()
     dmd.export(tmp_path / "artifact", "c")
     assert list((tmp_path / "artifact" / "deployed").glob("*.c")) and ssmr.load(tmp_path / "artifact").name == "DMD"

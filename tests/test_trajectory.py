@@ -188,6 +188,18 @@ def test_runs_that_do_not_belong_together_are_refused_with_the_numbers(runs, res
         TrajectoryDataset(runs, rest, ("x", "y", "z"), ("u1", "u2"))
 
 
+@pytest.mark.parametrize("names", [{"output_names": ("x", "y", "x")}, {"input_names": ("x", "x")}])
+def test_two_columns_of_one_name_are_refused(names):
+    with pytest.raises(ValueError, match="puts are named 'x'; give each a name of its own"):
+        TrajectoryDataset([run()], np.zeros(3), **dict(output_names=("x", "y", "z"), input_names=("a", "b")) | names)
+
+
+@pytest.mark.parametrize("asked", [{"split": "tset"}, {"kind": "decays"}])
+def test_a_split_or_kind_that_does_not_exist_is_refused_not_empty(dataset, asked):
+    with pytest.raises(ValueError, match="expected one of .*, or None for all"):
+        dataset.select(**asked)
+
+
 def test_runs_are_selected_by_split_and_kind(dataset):
     assert dataset.select(kind="decay") == (dataset[0],) and dataset.select(split="test") == (dataset[1],)
     assert dataset.select("train", "controlled") == () and dataset.select() == dataset.trajectories

@@ -133,7 +133,10 @@ def _table(given, what: str) -> tuple[tuple[str, ...] | None, np.ndarray]:
     """Names of the columns, None of an array, and the numbers (T, columns)."""
     names = tuple(str(name) for name in given.columns) if hasattr(given, "columns") else None
     try:
-        array = np.array(given.to_numpy() if hasattr(given, "to_numpy") else given, dtype=np.float64)
+        array = np.asarray(given.to_numpy() if hasattr(given, "to_numpy") else given)
+        if np.iscomplexobj(array):
+            raise TypeError("it is complex")
+        array = np.array(array, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{what} is not all numbers ({error}); leave out columns of text and dates") from error
     if array.ndim not in (1, 2):
@@ -169,6 +172,9 @@ def _chosen(table, array: np.ndarray, names: Sequence[str], run: str) -> np.ndar
 
 
 def _known_units(units: Mapping[str, str] | None) -> dict[str, str]:
+    if not isinstance(units, Mapping | None):
+        raise ValueError(f"units is {units!r}; expected a mapping, such as "
+                         "{'length': 'mm', 'input': 'N', 'time': 's'}")
     unknown = [key for key in units or {} if key not in ("length", "input", "time")]
     if unknown:
         raise ValueError(f"units has the unknown key {unknown[0]!r}; expected length, input, time, such as "

@@ -127,6 +127,9 @@ def read_card(path: str | Path) -> Card:
     except yaml.MarkedYAMLError as error:
         line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
         raise ValueError(f"{path.name}: {line}{error.problem or error.context}; expected YAML") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path.name} is not text; expected a card, in YAML, as docs/data.md shows; ssmr_torch.load "
+                         "opens files of this package") from error
     except (ValueError, yaml.YAMLError) as error:
         raise ValueError(f"{path.name}: {' '.join(str(error).split())}") from error
 

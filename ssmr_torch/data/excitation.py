@@ -190,6 +190,8 @@ def _latin_hypercube(count: int, inputs: int, seed: int, share: float) -> list[t
     from scipy.stats import qmc
 
     _check_share(share)
+    if count < 0:
+        raise ValueError(f"count is {count}; expected a whole number, 0 or more")
     levels = share * qmc.LatinHypercube(inputs, rng=np.random.default_rng(seed)).random(count)
     return [tuple(row.tolist()) for row in levels]
 

@@ -46,7 +46,7 @@ def draw_starts(lengths: np.ndarray, margin: int, span: int, count: int,
     if total == 0:
         raise ValueError(f"the longest of {len(lengths)} trajectories has {lengths.max()} samples; a start "
                          f"needs {margin} before and {span} after it, {margin + span + 1} in all; "
-                         "take shorter horizons")
+                         "take shorter horizons, or longer runs")
     drawn = np.sort(np.random.default_rng(seed).choice(total, size=min(count, total), replace=False))
     ends = np.cumsum(admissible)
     owner = np.searchsorted(ends, drawn, side="right")

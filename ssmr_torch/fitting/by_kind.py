@@ -49,6 +49,9 @@ def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name
     >>> model.predict(window, inputs, past_inputs=data[-1].input[:1]).shape
     (3, 2)
     """
+    if not isinstance(data, TrajectoryDataset):
+        raise TypeError(f"data is a {type(data).__name__}; expected a TrajectoryDataset, which read, load and "
+                        "trajectories return")
     chosen, said = _kind(kind, config_dir)
     groups = {group: options.pop(group) for group in GROUPS if isinstance(options.get(group), str)}
     config = configuration.composed("train", [f"model={chosen}", "logger=csv", f"seed={seed}", *(
@@ -116,7 +119,8 @@ def _sentence(training: Training, card: dict) -> str:
     cost = training.cost
     lines = [f"{card['name']}: {cost['state_dim']:.0f} states, {cost['parameters']:.0f} parameters from "
              f"{cost['decays']:.0f} decays and {cost['controlled_samples']:.0f} samples of controlled runs{error}"]
-    lines += [f"look here: {warning}" for report in training.report.values() for warning in report["warnings"]]
+    lines += [f"look here: {warning}" for warning in dict.fromkeys(
+        warning for report in training.report.values() for warning in report["warnings"])]
     return "\n".join(lines)
 
 

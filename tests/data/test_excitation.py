@@ -133,7 +133,8 @@ def test_a_chirp_sweeps_from_slow_to_fast():
     lambda: RandomOnOffRamp(share=1.1), lambda: RandomOnOffRamp(probability=0.0), lambda: SmoothRandom(0.0),
     lambda: SmoothRandom(lowest=1.0), lambda: RandomSteps(hold=-1.0), lambda: Chirp(2.0, 1.0),
     lambda: SetPoints(((0.0, 2.0),)), lambda: latin_hypercube_set_points(4, 2, seed=0, share=1.5),
-    lambda: latin_hypercube_set_points(0, 2, seed=0), lambda: latin_hypercube_ramps(4, 2, seed=0, share=0.0)])
+    lambda: latin_hypercube_set_points(0, 2, seed=0),
+    lambda: latin_hypercube_ramps(-1, 2, seed=0), lambda: latin_hypercube_ramps(4, 2, seed=0, share=0.0)])
 def test_impossible_settings_are_refused_when_built(build):
     with pytest.raises(ValueError, match="expected"):
         build()
