@@ -195,7 +195,8 @@ def on_device(array: Array, index: np.ndarray) -> Array:
 
     if array.device.type == "cpu":
         return torch.from_numpy(index)
-    return _copied(index.tobytes(), index.shape, array.device)
+    copied = _copied.__wrapped__ if torch.compiler.is_compiling() else _copied  # a trace's own tensors serve it alone
+    return copied(index.tobytes(), index.shape, array.device)
 
 
 @lru_cache(maxsize=1024)

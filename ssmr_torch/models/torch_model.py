@@ -66,7 +66,10 @@ class TorchModel(nn.Module, ABC):
     @property
     @abstractmethod
     def reduced(self) -> Model:
-        """The family's `Model` on this module's own parameters; gradients flow through it."""
+        """The family's `Model` on this module's own parameters; gradients flow through it.
+
+        Made anew each time, for it keeps what it derives from them: do not hold it beyond a change of a parameter.
+        """
 
     @property
     def sizes(self) -> dict:

@@ -3,7 +3,7 @@ import pytest
 import torch
 from sklearn.preprocessing import PolynomialFeatures
 
-from ssmr_torch.models.monomials import Form, Monomials, count_monomials, graded
+from ssmr_torch.models.monomials import Form, Monomials, count_monomials, graded, on_device
 
 
 @pytest.mark.parametrize(("variables", "degree"), [(1, 5), (3, 4), (6, 3), (12, 2)])
@@ -59,6 +59,16 @@ def test_a_form_and_its_jacobian_in_some_of_the_variables_are_those_of_the_polyn
     closure = monomials.multiplied_out(kind(x))
     for first, last in ((0, 3), (0, 1), (1, 3)):
         np.testing.assert_allclose(form.jacobian(closure, first, last), expected[..., first:last], rtol=1e-13)
+
+
+def test_what_an_export_on_a_device_copied_there_does_not_outlive_it():
+    class Features(torch.nn.Module):
+        def forward(self, x):
+            return Monomials(3, [(2, 0, 0), (1,), (2, 2, 2)])(x)
+
+    x = torch.zeros(2, 3, device="meta")
+    torch.export.export(Features(), (x,), strict=False)
+    assert all(type(on_device(x, parent)) is torch.Tensor for parent, _ in Monomials(3, [(2, 0, 0), (2, 2, 2)]).levels)
 
 
 @pytest.mark.parametrize(("factors", "message"), [([(0, 3)], "factors from 0 to 2"), ([(-1,)], "factors from 0 to 2"),
