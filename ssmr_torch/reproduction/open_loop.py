@@ -11,8 +11,6 @@ from ssmr_torch.data.starts import draw_starts, samples_within
 from ssmr_torch.evaluation.open_loop import HORIZONS, OpenLoopScore, compare_open_loop
 from ssmr_torch.evaluation.rollouts import Recording
 
-MAPPED = HORIZONS[0]  # s, of the errors over the workspace
-
 
 @dataclass(frozen=True, eq=False)
 class OpenLoopMap:
