@@ -54,6 +54,8 @@ class Model(DataSheet, ABC):
 
     c_source, compiled: "module:function" that writes this family in C, or gives a compiled horizon of it; None: it has
     no C form, and a controller goes through `linearize`.
+
+    Raises ValueError for sizes that are no positive whole numbers, or times that are not positive and finite.
     """
 
     c_source: ClassVar[str | None] = None
@@ -69,6 +71,7 @@ class Model(DataSheet, ABC):
     def __post_init__(self):
         for name in self.array_names():
             object.__setattr__(self, name, _fixed(getattr(self, name)))
+        check_sizes(self.state_dim, self.input_dim, self.output_dim, self.delays, self.timestep, self.window_timestep)
 
     @classmethod
     def array_names(cls) -> tuple[str, ...]:
@@ -213,6 +216,18 @@ class Model(DataSheet, ABC):
                 found.append(z)
         whole = (steps + 1.0).astype(np.int64) if xp is np else (steps + 1.0).long()
         return Rollout(xp.stack(found, -2), whole)
+
+
+def check_sizes(state_dim: int, input_dim: int, output_dim: int, delays: int, timestep: float,
+                window_timestep: float) -> None:
+    """Raises ValueError for sizes and times, s, that no model can have, see `Model`."""
+    for name, size in (("state_dim", state_dim), ("input_dim", input_dim), ("output_dim", output_dim)):
+        if int(size) != size or size < 1:
+            raise ValueError(f"{name} is {size}; expected a positive integer")
+    if int(delays) != delays or delays < 0:
+        raise ValueError(f"delays is {delays}; expected 0 or more, a whole number (a window holds delays + 1 samples)")
+    if not (0 < timestep < np.inf and 0 < window_timestep < np.inf):
+        raise ValueError(f"timestep {timestep} s and window_timestep {window_timestep} s must be positive and finite")
 
 
 def around(following: Array, A: Array, B: Array, z: Array, u: Array) -> Linearization:

@@ -38,7 +38,7 @@ class ControlAugmentedSSMR(PolynomialTorchModel):
                              "use more delays or a smaller state_dim")
         input_degree = dynamics_degree if input_degree is None else input_degree
         check_degrees(parametrization_degree=parametrization_degree, dynamics_degree=dynamics_degree,
-                      input_degree=input_degree, state_degree=state_degree or dynamics_degree)
+                      input_degree=input_degree, state_degree=dynamics_degree if state_degree is None else state_degree)
         self.parametrization_degree, self.dynamics_degree = parametrization_degree, dynamics_degree
         self.input_degree, self.state_degree, self.saturated = input_degree, state_degree, bool(saturated)
         self.base_timestep = self.timestep if base_timestep is None else float(base_timestep)

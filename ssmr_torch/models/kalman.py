@@ -42,8 +42,11 @@ def correct(model, z: Array, covariance: Array, y: Array, measurement: Array) ->
 def filter_window(model, window: Array, inputs: Array, noise: Noise, repeats: int) -> Array:
     """State (..., n) at the newest sample of a window (..., n_d + 1, p), inputs (..., n_d, m) held between samples.
 
-    repeats: base timesteps between two samples.
+    repeats: base timesteps between two samples. Raises ValueError where there is not one sample more than inputs.
     """
+    if window.shape[-2] != inputs.shape[-2] + 1:
+        raise ValueError(f"a window of {window.shape[-2]} samples and {inputs.shape[-2]} inputs between them; expected "
+                         "one sample more than inputs")
     mean = noise.mean + 0.0 * window[..., 0, :1]
     z, covariance = correct(model, mean, noise.covariance, window[..., 0, :], noise.measurement)
     for k in range(inputs.shape[-2]):

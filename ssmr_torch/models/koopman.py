@@ -29,9 +29,9 @@ class Koopman(TorchModel):
     def __init__(self, input_dim: int, output_dim: int, delays: int = 1, *, input_delays: int = 1, degree: int = 1,
                  constant: bool = True, bilinear: bool = False, relift: bool = False, pregain: bool = False,
                  timestep: float = 0.01, window_timestep: float | None = None, base_timestep: float | None = None):
-        if degree < 1:
-            raise ValueError(f"degree is {degree}; expected 1 (DMD) or more (EDMD)")
-        if not 0 <= input_delays <= delays:
+        if int(degree) != degree or degree < 1:
+            raise ValueError(f"degree is {degree}; expected 1 (DMD) or more (EDMD), a whole number")
+        if int(input_delays) != input_delays or not 0 <= input_delays <= delays:
             raise ValueError(f"input_delays is {input_delays}; expected 0 to the {delays} delays, for a window holds "
                              "the inputs between its samples")
         structure = koopman_structure(int(input_dim), int(output_dim), int(delays), input_delays=int(input_delays),

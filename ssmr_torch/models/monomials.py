@@ -95,6 +95,9 @@ class Monomials:
 
     def multiplied_out(self, x: Array) -> Array:
         """The closure of x (..., variables): (..., size), [1, x, products]."""
+        if x.shape[-1] != self.variables:
+            raise ValueError(f"{x.shape[-1]} values for monomials of {self.variables} variables; check the sizes of "
+                             "what the model is given")
         xp = namespace(x)
         parts = [xp.ones_like(x[..., :1]), x]
         for parent, variable in self.levels:

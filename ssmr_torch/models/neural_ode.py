@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from ssmr_torch.models.neural import NeuralModel
-from ssmr_torch.models.torch_model import TorchModel
+from ssmr_torch.models.torch_model import TorchModel, check_degrees
 
 
 class NeuralODE(TorchModel):
@@ -32,10 +32,9 @@ class NeuralODE(TorchModel):
             raise ValueError(f"a window of {delays + 1} samples of {output_dim} outputs holds {self.window_dim} "
                              f"values, fewer than the {state_dim} reduced coordinates; use more delays or a smaller "
                              "state_dim")
-        if width < 1 or depth < 1 or substeps < 1:
-            raise ValueError(f"width {width}, depth {depth} and substeps {substeps}; expected 1 or more of each")
+        check_degrees(width=width, depth=depth, substeps=substeps)
         self.width, self.depth, self.substeps = int(width), int(depth), int(substeps)
-        n, m = self.state_dim, self.input_dim
+        n, m, width, depth = self.state_dim, self.input_dim, self.width, self.depth
 
         def random_table(*shape: int, spread: float = 0.0) -> nn.Parameter:
             return nn.Parameter(spread * torch.randn(shape, dtype=torch.float64))

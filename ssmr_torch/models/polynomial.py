@@ -167,6 +167,11 @@ class PolynomialModel(Model):
                 raise ValueError(f"this chart looks at the {self.delays} inputs held within a window; give them as "
                                  f"well, (…, {self.delays}, {self.input_dim})")
             seen = namespace(seen).concatenate([seen, inputs.reshape(*leading, -1)], -1)
+        expected = self.window_dim + (self.delays * self.input_dim if self.takes_past_inputs else 0)
+        if seen.shape[-1] != expected:
+            raise ValueError(f"a window of {seen.shape[-1]} values, with the inputs that the chart sees; expected "
+                             f"{expected}, of {self.delays + 1} samples of {self.output_dim} outputs and, where it "
+                             f"sees them, {self.delays} of {self.input_dim} inputs")
         if order != tuple(range(seen.shape[-1])):
             seen = seen[..., on_device(seen, np.array(order))]
         return seen / self.window_scale if len(self.window_scale) else seen

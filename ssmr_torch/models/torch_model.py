@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor, nn
 
-from ssmr_torch.models.base import Linearization, Model, OutputLinearization, Rollout
+from ssmr_torch.models.base import Linearization, Model, OutputLinearization, Rollout, check_sizes
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.structure import Structure
 
@@ -50,14 +50,7 @@ class TorchModel(nn.Module, ABC):
                  window_timestep: float | None):
         super().__init__()
         window_timestep = timestep if window_timestep is None else window_timestep
-        for name, size in (("state_dim", state_dim), ("input_dim", input_dim), ("output_dim", output_dim)):
-            if int(size) != size or size < 1:
-                raise ValueError(f"{name} is {size}; expected a positive integer")
-        if int(delays) != delays or delays < 0:
-            raise ValueError(f"delays is {delays}; expected 0 or more, a whole number (a window holds delays + 1 "
-                             "samples)")
-        if not (timestep > 0 and window_timestep > 0):
-            raise ValueError(f"timestep {timestep} s and window_timestep {window_timestep} s must be positive")
+        check_sizes(state_dim, input_dim, output_dim, delays, timestep, window_timestep)
         self.state_dim, self.input_dim, self.output_dim = int(state_dim), int(input_dim), int(output_dim)
         self.delays = int(delays)
         self.timestep, self.window_timestep = float(timestep), float(window_timestep)
@@ -212,7 +205,7 @@ class FixedModel(TorchModel):
 
 
 def check_degrees(**degrees: int) -> None:
-    """Raises ValueError for a degree that is no whole number, or below 1."""
+    """Raises ValueError for a degree or another number that is not whole, or below 1."""
     for name, degree in degrees.items():
         if int(degree) != degree or degree < 1:
-            raise ValueError(f"{name} is {degree}; expected 1 or more")
+            raise ValueError(f"{name} is {degree}; expected 1 or more, a whole number")

@@ -257,6 +257,21 @@ def test_a_copy_and_an_unpickled_model_are_made_anew_with_arrays_that_nobody_can
         assert not any(array.flags.writeable for array in again.arrays.values())
 
 
+def test_a_window_or_an_input_of_another_size_is_refused(model, batch):
+    z, u = batch
+    window, inputs = windows_on_the_manifold(model, z)
+    with pytest.raises((ValueError, RuntimeError)):
+        model.encode(torch.cat([window, window], -2), torch.cat([inputs, inputs], -2))
+    with pytest.raises((ValueError, RuntimeError)):  # of ours, or of a product of Torch
+        model.step(z, torch.cat([u, u], -1))
+
+
+@pytest.mark.parametrize("timestep", [-0.01, 0.0, np.nan, np.inf])
+def test_a_time_that_is_not_positive_and_finite_is_refused(model, timestep):
+    with pytest.raises(ValueError, match="must be positive and finite"):
+        model.reduced.at_timestep(timestep)
+
+
 def test_another_timestep_keeps_the_precision(model):
     double = 2 * model.timestep
     assert copy.deepcopy(model).float().at_timestep(double).state_scale.dtype == torch.float32
