@@ -88,10 +88,10 @@ def plain(config: DictConfig, without: Sequence[str] = ()) -> dict:
 
 
 def changed(config: DictConfig, values: Mapping[str, object]) -> DictConfig:
-    """A copy with other values under these dotted names, merged in as the command line does."""
+    """A copy with other values under these dotted names, merged in as the command line does; a mapping may add keys."""
     config = copy.deepcopy(config)
     for name, value in values.items():
-        OmegaConf.update(config, name, value, merge=True)
+        OmegaConf.update(config, name, value, merge=True, force_add=isinstance(value, Mapping))
     return config
 
 

@@ -147,6 +147,7 @@ class TrajectoryDataset(DataSheet, Sequence):
 
     def columns(self, names: Sequence[str] | None = None) -> list[int]:
         """Positions of these outputs, of all where none are named. Raises ValueError for an unknown name."""
+        names = (names,) if isinstance(names, str) else names
         unknown = [name for name in names or () if name not in self.output_names]
         if unknown:
             raise ValueError(f"no outputs {unknown}; the dataset has {list(self.output_names)}")
@@ -154,6 +155,7 @@ class TrajectoryDataset(DataSheet, Sequence):
 
     def observing(self, names: Sequence[str] | None) -> TrajectoryDataset:
         """The same runs seen through these outputs only, in this order; all of them where none are named."""
+        names = (names,) if isinstance(names, str) else names
         if names is None or tuple(names) == self.output_names:
             return self
         columns = self.columns(names)

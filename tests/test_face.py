@@ -284,12 +284,37 @@ def test_without_a_kind_it_is_said_which_was_taken(data, capsys):
 
 @pytest.mark.parametrize(("kind", "options", "error", "message"), [
     ("smr", {}, ValueError, "no kind of model 'smr'; did you mean 'ssmr'"),
+    ("ssmr", {"derivative": "gausian"}, ValueError, "no derivative 'gausian'; did you mean 'gaussian'"),
+    ("ssmr", {"ridge": {"dynamic": 0.1}, "state_dim": 4}, ValueError, r"ridge names \[.dynamic.\]; the regr"),
     ("ssmr", {"state_dims": 4}, TypeError, "no option state_dims; did you mean model.state_dim"),
     ("ssmr", {"fit.closed_form.rige": 0.0}, TypeError, "no fit.closed_form.rige; did you mean fit.closed_form.ridge"),
 ])
 def test_options_that_do_not_exist_are_refused_with_the_nearest(data, kind, options, error, message):
     with pytest.raises(error, match=message):
         ssmr.fit(data, kind, progress=False, **options)
+
+
+def test_a_ridge_may_be_given_for_one_regression_as_on_the_command_line(data):
+    model = ssmr.fit(data, "ssmr", state_dim=4, ridge={"dynamics": 0.1}, progress=False)
+    ridge = model.card["provenance"]["training"]["configuration"]["fit"]["closed_form"]["ridge"]
+    assert ridge["dynamics"] == 0.1 and len(ridge["default"]) > 1
+
+
+def test_one_output_may_be_named_without_a_list(data):
+    assert data.observing("y").output_names == ("y",) and data.columns("y") == [1]
+
+
+def test_a_controller_takes_the_models_names_and_refuses_others(dmd):
+    task, bounds = ssmr.tasks.path([0.0, 0.1], [[0.0], [0.001]], outputs=["y"]), [[-1.0, -1.0], [1.0, 1.0]]
+    controller = ssmr.ModelPredictiveController(dmd, task, bounds)
+    assert controller.task.columns(dmd.output_names) == (1,)
+    for names in (["x", "y"], ["y", "x", "z"]):
+        with pytest.raises(ValueError, match="the model has 3 outputs, .*: name these, in this order"):
+            ssmr.ModelPredictiveController(dmd, task, bounds, output_names=names)
+    with pytest.raises(TypeError, match="settings a dict; expected a model, .* and PredictiveControlSettings"):
+        ssmr.ModelPredictiveController(dmd, task, bounds, {"horizon": 3})
+    with pytest.raises(TypeError, match="model is a str"):
+        ssmr.ModelPredictiveController("artifact", task, bounds)
 
 
 def test_an_option_of_two_steps_is_refused_with_both_names():

@@ -50,7 +50,11 @@ class ModelPredictiveController(DataSheet):
     @configurable(PredictiveControlSettings, given=("settings", "timestep", "output_names", "solver"))
     def __init__(self, model, task, input_bounds, settings: PredictiveControlSettings | None = None, *,
                  timestep: float | None = None, output_names=None, solver=None, **changes):
+        if not isinstance(settings, PredictiveControlSettings | None) or not hasattr(model, "reduced"):
+            raise TypeError(f"model is a {type(model).__name__}, settings a {type(settings).__name__}; "
+                            "expected a model, as ssmr_torch.load returns it, and PredictiveControlSettings")
         settings = (PredictiveControlSettings() if settings is None else settings).changed(**changes)
+        output_names = _seen(model, output_names)
         self.model, self.task, self.settings = model.reduced.numpy(), task, settings
         model = self.model
         self.timestep = float(model.window_timestep if timestep is None else timestep)
@@ -227,6 +231,17 @@ class ModelPredictiveController(DataSheet):
         intended = self.safe_input if steps is None else self._plan.inputs[steps]
         admissible = self.problem.admissible(intended[None], self._last_input)[0]
         return Command(admissible, plan, status)
+
+
+def _seen(model, output_names):
+    """The names of the outputs, those of the model where none are given. Raises ValueError for any but these."""
+    own = getattr(model, "output_names", None)
+    if output_names is None:
+        return own
+    if own is not None and tuple(output_names) != tuple(own) or len(output_names) != model.reduced.output_dim:
+        raise ValueError(f"output_names are {list(output_names)}; the model has {model.reduced.output_dim} outputs"
+                         f"{'' if own is None else f', {list(own)}'}: name these, in this order")
+    return output_names
 
 
 class _Reference:

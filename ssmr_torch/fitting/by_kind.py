@@ -54,6 +54,8 @@ def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name
                         "trajectories return")
     chosen, said = _kind(kind, config_dir)
     groups = {group: options.pop(group) for group in GROUPS if isinstance(options.get(group), str)}
+    for group, choice in groups.items():
+        _check_choice(group, choice, group, config_dir)
     config = configuration.composed("train", [f"model={chosen}", "logger=csv", f"seed={seed}", *(
         f"{group}={choice}" for group, choice in groups.items())], config_dir=config_dir)
     given = {"name": name or chosen.upper()}
@@ -94,12 +96,17 @@ def _kind(kind: str | None, config_dir: str | Path | None) -> tuple[str, str]:
     if kind is None:
         return "ssmr", ('fitting "ssmr", a spectral submanifold of six dimensions, with which most soft robots begin; '
                         'fit(data, "sssr") is its linear counterpart')
-    folders = [configuration.folder(), *([] if config_dir is None else [Path(config_dir)])]
-    known = sorted({path.stem for folder in folders for path in (folder / "model").glob("*.yaml")})
-    if kind not in known:
-        near = get_close_matches(str(kind).lower(), known, n=1, cutoff=0.0)[0]
-        raise ValueError(f"no kind of model {kind!r}; did you mean {near!r}? There are {', '.join(known)}")
+    _check_choice("kind of model", kind, "model", config_dir)
     return kind, ""
+
+
+def _check_choice(what: str, choice, group: str, config_dir: str | Path | None) -> None:
+    """Raises ValueError, with the nearest one, for a choice of a group of configurations that no folder has."""
+    folders = [configuration.folder(), *([] if config_dir is None else [Path(config_dir)])]
+    known = sorted({path.stem for folder in folders for path in (folder / group).glob("*.yaml")})
+    if choice not in known:
+        near = get_close_matches(str(choice).lower(), known, n=1, cutoff=0.0)[0]
+        raise ValueError(f"no {what} {choice!r}; did you mean {near!r}? There are {', '.join(known)}")
 
 
 def _plain(value):
