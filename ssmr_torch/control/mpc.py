@@ -35,6 +35,7 @@ class ModelPredictiveController(DataSheet):
     model: a `Model`, or what has one as its `reduced`, such as a Torch module.
     task: `columns(output_names)` and `reference(time)`, perhaps `obstacles`, such as `tasks.references.Task`.
     input_bounds: (2, m).   timestep: time between two measurements, s; default the model's window_timestep.
+    output_names: of the observations, those of the model where none are given.
     settings: `PredictiveControlSettings`, which says what each is; changes: some of them by name, in their place.
     solver: an object with `solve(QuadraticProgram)` and `reset()` in place of that named by the setting qp, and
     perhaps `advance`, see `ProxQP`.
@@ -43,8 +44,8 @@ class ModelPredictiveController(DataSheet):
     and rate; `fallbacks` counts the reasons by Status. Everything is compiled and run once at construction.
     `prepare` may be called between two measurements: it linearizes and condenses around the shifted plan, and the next
     step only has to solve.
-    Raises ValueError when a period is not a multiple of the timestep or sizes disagree, TypeError for a change of what
-    is no setting.
+    Raises ValueError when a period is not a multiple of the timestep or sizes or names disagree, TypeError for a change
+    of what is no setting and for what is no model.
     """
 
     @configurable(PredictiveControlSettings, given=("settings", "timestep", "output_names", "solver"))

@@ -77,3 +77,10 @@ def test_a_solver_of_another_package_steers_by_its_path(elsewhere, bench):
 def test_another_name_is_refused_with_those_that_would_have_been_right(elsewhere, name, said):
     with pytest.raises(ValueError, match=said):
         solver_named(name, 2, 0)
+
+
+@pytest.mark.parametrize("name", ["daqp", "qpsolvers:osqp"])
+def test_a_solver_whose_package_is_missing_says_what_to_install(name, monkeypatch):
+    monkeypatch.setattr("ssmr_torch.extras.find_spec", lambda package: None)
+    with pytest.raises(ModuleNotFoundError, match=r"is not installed: pip install 'ssmr_torch\[(daqp|qpsolvers)\]'"):
+        solver_named(name, 2, 0)

@@ -6,6 +6,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from ssmr_torch.control.qp import Workspace
+from ssmr_torch.extras import BROUGHT_BY, require
 
 OTHERS = "qpsolvers:NAME, such as qpsolvers:osqp, or package.module:Class of one's own"
 
@@ -23,6 +24,8 @@ def solver_named(name: str, dim: int, rows: int, **options):
     options: of its constructor. Raises ValueError for another name, ImportError where it is not installed.
     """
     module, separator, chosen = name.partition(":")
+    if module in BROUGHT_BY:
+        require(module)
     if not separator and name in solver_names():
         found = vars(import_module(f"{__name__}.{name}")).values()
         solver = next(each for each in found if isinstance(each, type) and issubclass(each, Workspace)
