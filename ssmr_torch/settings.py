@@ -10,9 +10,15 @@ from typing import Self
 
 import numpy as np
 
+from ssmr_torch.data_sheet import DataSheet
 
-class Settings:
+
+class Settings(DataSheet):
     """Base of frozen dataclasses that hold the settings of one thing, checked in `__post_init__`."""
+
+    def data_sheet(self) -> tuple[str, dict]:
+        """Every setting with its value."""
+        return type(self).__name__, {field.name: str(getattr(self, field.name)) for field in fields(self)}
 
     def changed(self, **changes) -> Self:
         """The same settings but for these. Raises TypeError for a name that is none of them, with the nearest one."""
