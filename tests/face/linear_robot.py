@@ -5,6 +5,7 @@ from scipy.linalg import expm
 
 DT, HOLD = 0.01, 12  # s, samples that an input is held
 
+
 def linear_run(inputs, x):
     """A run of dx/dt = A x + B u, y = C x in mm, exact at the samples.
 
