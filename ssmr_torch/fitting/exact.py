@@ -38,7 +38,6 @@ class ExactSolve(torch.optim.Optimizer):
             ridge = self.ridge
             if isinstance(ridge, Mapping):
                 ridge = ridge.get(name, ridge.get("default", 0.0))
-            ridge = float(ridge) if isinstance(ridge, (int, float)) else tuple(float(value) for value in ridge)
             self.solutions[name] = regression.solve(ridge, penalty=self.penalty)
         self.regressions = {}
         return loss

@@ -14,7 +14,7 @@ from ssmr_torch.data.windows import Segment, delay_windows
 from ssmr_torch.fitting.exact import ExactSolve
 from ssmr_torch.fitting.scores import diverged_under_stress, scores
 from ssmr_torch.fitting.ssmr_least_squares import LeastSquaresModel
-from ssmr_torch.fitting.statistics import PENALTIES
+from ssmr_torch.fitting.statistics import PENALTIES, ridge_candidates
 from ssmr_torch.models.torch_model import TorchModel
 
 
@@ -85,6 +85,8 @@ class LeastSquaresFit(ModelFit):
         unknown = set(ridge) - {"default", *procedure.names} if isinstance(ridge, Mapping) else set()
         if unknown:
             raise ValueError(f"ridge names {sorted(unknown)}; the regressions are {sorted(procedure.names)}")
+        for each in ridge.values() if isinstance(ridge, Mapping) else [ridge]:
+            _ = ridge_candidates(each)
         if penalty not in PENALTIES:
             raise ValueError(f"penalty is {penalty!r}; expected one of {sorted(PENALTIES)}")
         self.procedure, self.ridge, self.folds, self.penalty = procedure, ridge, int(folds), penalty

@@ -87,9 +87,7 @@ class StreamedRegression:
         """
         if not self.folds:
             raise ValueError("no rows were accumulated; the training data hold none of this kind")
-        candidates = tuple(ridge) if isinstance(ridge, (tuple, list)) else (float(ridge),)
-        if not candidates or not all(0 <= value < float("inf") for value in candidates):
-            raise ValueError(f"ridge is {ridge}; expected 0 or more, one value or several")
+        candidates = ridge_candidates(ridge)
         solve, validation = PENALTIES[penalty], {}
         if len(candidates) > 1 and self.split[1] > 0:
             if len(self.folds) < 2:
@@ -112,6 +110,14 @@ class StreamedRegression:
                 squared[candidate] += error
             target += size
         return {candidate: (error / max(target, 1e-300)) ** 0.5 for candidate, error in squared.items()}
+
+
+def ridge_candidates(ridge: float | Sequence[float]) -> tuple[float, ...]:
+    """The λ to choose from. Raises ValueError unless there is one, and each is a finite number of 0 or more."""
+    candidates = tuple(map(float, ridge)) if isinstance(ridge, Sequence) else (float(ridge),)
+    if not candidates or not all(0 <= value < float("inf") for value in candidates):
+        raise ValueError(f"ridge is {ridge}; expected 0 or more, one value or several")
+    return candidates
 
 
 def lasso_solutions(factor: Factor, features: int, candidates: Sequence[float]) -> list[Tensor]:

@@ -188,6 +188,12 @@ def test_cross_validation_with_a_single_fold_is_refused():
         LeastSquaresFit(SSMRLeastSquares(SSMR(2, 2, 4, 1)), folds=1)
 
 
+@pytest.mark.parametrize("ridge", [-1.0, float("nan"), [0.0, -1e-6], {"default": 0.0, "dynamics": [float("inf")]}, []])
+def test_a_ridge_that_is_none_is_refused_before_any_data_are_seen(ridge):
+    with pytest.raises(ValueError, match="ridge is .*; expected 0 or more, one value or several"):
+        LeastSquaresFit(SSMRLeastSquares(SSMR(2, 2, 4, 1)), ridge)
+
+
 def test_assigning_the_solutions_of_the_manifold_again_changes_nothing(known, solve_stages):
     runs = known.decays(0.01, pairs=2, finest=1e-2)
     procedure = SSMRLeastSquares(ssmr(runs))
