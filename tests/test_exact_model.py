@@ -33,6 +33,9 @@ class ExactModel:
     def reduced(self):
         return self
 
+    def numpy(self):
+        return self
+
     def at_timestep(self, timestep):
         return ExactModel(self.plant, timestep)
 
