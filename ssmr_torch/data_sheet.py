@@ -30,6 +30,7 @@ class DataSheet:
             cls.__repr__ = DataSheet.__repr__  # a dataclass would make one that lists its fields
 
     def data_sheet(self) -> tuple[str, Mapping]:
+        """Title and entries of the sheet."""
         raise NotImplementedError(f"{type(self).__name__} lacks data_sheet()")
 
     def __repr__(self) -> str:

@@ -10,7 +10,7 @@ from ssmr_torch.artifact import Artifact
 from ssmr_torch.evaluation.comparison import mean_and_median
 from ssmr_torch.evaluation.open_loop import HORIZONS, OpenLoopScore, compare_open_loop
 from ssmr_torch.trained_model import TrainedModel
-from ssmr_torch.trajectory import TrajectoryDataset
+from ssmr_torch.trajectory import refuse_other_data
 
 
 class ScoreTable(Mapping):
@@ -74,9 +74,7 @@ def score(model, data, *, split: str = "test", kind: str = "controlled", horizon
     persistence 64 mm
     constant velocity 58 mm
     """
-    if not isinstance(data, TrajectoryDataset):
-        raise TypeError(f"data is a {type(data).__name__}; expected a TrajectoryDataset, which read, load and "
-                        "trajectories return")
+    refuse_other_data(data)
     models = _by_name(model)
     strange = [each for each in models.values() if not hasattr(each, "reduced")]
     if strange:

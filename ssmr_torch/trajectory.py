@@ -16,7 +16,8 @@ from ssmr_torch import data_sheet as sheet
 from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.run import JITTER_TOLERANCE, KINDS, SPLITS, Run, Trajectory, own_copy
 
-__all__ = ["JITTER_TOLERANCE", "KINDS", "SPLITS", "StoredTrajectory", "Trajectory", "TrajectoryDataset"]
+__all__ = ["JITTER_TOLERANCE", "KINDS", "SPLITS", "StoredTrajectory", "Trajectory", "TrajectoryDataset",
+           "refuse_other_data"]
 
 FORMAT = "ssmr_torch trajectories 1"
 
@@ -252,3 +253,10 @@ def _opened(path: Path) -> h5py.File:
 @lru_cache(maxsize=4)
 def _open_once(path: Path, inode: int, modified: int, process: int) -> h5py.File:
     return h5py.File(path, "r")
+
+
+def refuse_other_data(data) -> None:
+    """Raises TypeError unless data is a `TrajectoryDataset`."""
+    if not isinstance(data, TrajectoryDataset):
+        raise TypeError(f"data is a {type(data).__name__}; expected a TrajectoryDataset, which read, load and "
+                        "trajectories return")

@@ -1,6 +1,8 @@
-"""Seeds, one thread, where the real measurements are, the benchmark's oscillators, and the wheel."""
+"""Seeds, one thread, where the real measurements are, forged artifacts, the benchmark's oscillators, and the wheel."""
 
+import hashlib
 import importlib.util
+import json
 import os
 import shutil
 import subprocess
@@ -9,6 +11,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
 
 from ssmr_torch import configuration
 from ssmr_torch.data.windows import SegmentDataset
@@ -40,6 +44,28 @@ def measurements():
         return path
 
     return locate
+
+
+@pytest.fixture
+def rewrite():
+    """Change arrays of an artifact's file, or what it notes of the model, and the card's hash of it: what a hash alone
+    would not notice.
+    """
+    def change(directory, file="tables.safetensors", *, arrays=lambda arrays: None, noted=lambda noted: None):
+        path, card = directory / file, json.loads((directory / "card.json").read_text())
+        with safe_open(path, "np") as opened:
+            metadata = opened.metadata()
+        tables = load_file(path)
+        arrays(tables)
+        if metadata and "model" in metadata:
+            model = json.loads(metadata["model"])
+            noted(model)
+            metadata["model"] = json.dumps(model)
+        save_file(tables, path, metadata)
+        card["sha256"][file] = hashlib.sha256(path.read_bytes()).hexdigest()
+        (directory / "card.json").write_text(json.dumps(card))
+
+    return change
 
 
 @pytest.fixture

@@ -1,8 +1,6 @@
 """What is deployed: a directory that is complete, replays its reference, and needs no training libraries."""
 
-import hashlib
 import json
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -11,8 +9,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from safetensors import safe_open
-from safetensors.numpy import load_file, save_file
 
 from ssmr_torch import artifact
 from ssmr_torch.fitting.checkpoints import load_model
@@ -60,18 +56,6 @@ def test_the_card_says_whether_the_manifold_is_curved(tmp_path):
         said[name] = card_of(tmp_path / "model")["geometry"]
     assert said["curved"].endswith("p = 9 > n = 4, parametrization of degree 2: a curved manifold")
     assert said["linear"].endswith("p = 9 > n = 4, parametrization of degree 1: a flat manifold")
-
-
-def rewrite(directory, change, file="tables.safetensors"):
-    """Change arrays of a file and the card's hash of it: what a hash alone would not notice."""
-    with safe_open(directory / file, "np") as opened:
-        noted = opened.metadata()
-    arrays = load_file(directory / file)
-    change(arrays)
-    save_file(arrays, directory / file, noted)
-    card = card_of(directory)
-    card["sha256"][file] = hashlib.sha256((directory / file).read_bytes()).hexdigest()
-    (directory / "card.json").write_text(json.dumps(card))
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -123,32 +107,8 @@ def test_nothing_in_an_artifact_is_a_pickle(saved):
         assert len(content) == 8 + int.from_bytes(content[:8], "little") + end
 
 
-@pytest.mark.parametrize("table", ["chart", "parametrization", "dynamics"])
-def test_a_table_that_was_changed_is_refused_by_its_hash_and_if_that_is_forged_by_the_replay(saved, table):
-    def nudge(arrays):
-        arrays[table] = arrays[table] + 1e-6 * np.abs(arrays[table]).max()
-
-    original = (saved / "tables.safetensors").read_bytes()
-    arrays = load_file(saved / "tables.safetensors")
-    nudge(arrays)
-    save_file(arrays, saved / "tables.safetensors")
-    with pytest.raises(ValueError, match="tables.safetensors is missing or differs from what the card records"):
-        artifact.load(saved)
-    (saved / "tables.safetensors").write_bytes(original)
-    artifact.load(saved)
-    rewrite(saved, nudge)
-    with pytest.raises(ValueError, match=r"its reference: \w+ differs by [\d.e-]+ relative, more than 1e-09"):
-        artifact.load(saved)
-
-
-def test_a_table_that_became_nan_is_refused_by_the_replay(saved):
-    rewrite(saved, lambda arrays: arrays["dynamics"].__setitem__((0, 0), np.nan))
-    with pytest.raises(ValueError, match="differs by nan"):
-        artifact.load(saved)
-
-
 @pytest.mark.parametrize("name", MODELS)
-def test_rounding_of_another_machine_is_accepted(name, tmp_path):
+def test_rounding_of_another_machine_is_accepted(name, tmp_path, rewrite):
     """Also of the constant term of a linear model, which is rounding altogether."""
     saved = artifact.save(tmp_path / "model", MODELS[name], **DATA)
     rng = np.random.default_rng(2)
@@ -159,70 +119,15 @@ def test_rounding_of_another_machine_is_accepted(name, tmp_path):
         for key in ("encoded", "decoded", "following", "A", "B", "c"):
             arrays[key] = arrays[key] + 4e-16 * size[key] * rng.choice([-1, 1], arrays[key].shape)
 
-    rewrite(saved, round_differently, "reference.safetensors")
+    rewrite(saved, "reference.safetensors", arrays=round_differently)
     np.testing.assert_array_equal(artifact.load(saved).model.dynamics, MODELS[name].dynamics)
 
 
-@pytest.mark.parametrize("file", ["tables.safetensors", "reference.safetensors"])
-@pytest.mark.parametrize("damage", ["missing", "truncated", "empty"])
-def test_damaged_files_are_refused(saved, file, damage):
-    content = (saved / file).read_bytes()
-    (saved / file).unlink()
-    if damage != "missing":
-        (saved / file).write_bytes(content[:-8] if damage == "truncated" else b"")
-    with pytest.raises(ValueError, match=f"{file} is missing or differs"):
-        artifact.load(saved)
-    card = card_of(saved)
-    del card["sha256"][file]
-    (saved / "card.json").write_text(json.dumps(card))
-    with pytest.raises(ValueError, match=f"{file} is missing or differs"):
-        artifact.load(saved)
-
-
-@pytest.mark.parametrize(("text", "message"), [
-    ("{not json", "not valid JSON"), ("", "not valid JSON"), ("[]", "not the card of an artifact"),
-    ("{}", "it has no format, kind"), ('"text"', "not the card of an artifact"), (b"\xff{}", "not valid JSON")])
-def test_a_card_that_is_none_is_refused(saved, text, message):
-    (saved / "card.json").write_bytes(text if isinstance(text, bytes) else text.encode())
-    with pytest.raises(ValueError, match=message):
-        artifact.load(saved)
-
-
-@pytest.mark.parametrize(("change", "value"), [
-    ({"format": "ssmr_torch artifact 1"}, "ssmr_torch artifact 1"),
-    ({"format": artifact.BEFORE, "kind": "neural"}, "neural")])
-def test_another_format_is_refused_with_both_names(saved, change, value):
-    (saved / "card.json").write_text(json.dumps(card_of(saved) | change))
-    with pytest.raises(ValueError, match=f"'{value}'.*reads '{artifact.FORMAT}', and '{artifact.BEFORE}' of"):
-        artifact.load(saved)
-
-
-def forged(directory, change):
-    """The metadata of the tables changed, and the card's hash of them."""
-    path = directory / "tables.safetensors"
-    with safe_open(path, "np") as file:
-        noted, arrays = json.loads(file.metadata()["model"]), load_file(path)
-    change(noted)
-    save_file(arrays, path, {"model": json.dumps(noted)})
-    card = card_of(directory)
-    card["sha256"][path.name] = hashlib.sha256(path.read_bytes()).hexdigest()
-    (directory / "card.json").write_text(json.dumps(card))
-
-
-def test_a_setting_that_is_newer_than_the_artifact_has_the_value_of_then(tmp_path):
+def test_a_setting_that_is_newer_than_the_artifact_has_the_value_of_then(tmp_path, rewrite):
     at = artifact.save(tmp_path / "old", replace(MODELS["curved"], substeps=1), **DATA)
 
-    forged(at, lambda noted: noted["plain"].pop("substeps"))
+    rewrite(at, noted=lambda noted: noted["plain"].pop("substeps"))
     assert artifact.load(at).model.substeps == 1
-
-
-@pytest.mark.parametrize(("named", "message"), [
-    ("robot_of_mine:Model", "which is not installed here.*install its package"),
-    ("json:JSONDecoder", "is no model; export"), ("json", "is no model; export")])
-def test_a_model_of_a_class_that_is_not_here_or_is_no_model_is_refused(saved, named, message):
-    forged(saved, lambda noted: noted.update({"class": named}))
-    with pytest.raises(ValueError, match=message):
-        artifact.load(saved)
 
 
 @pytest.mark.parametrize("path", sorted((Path(__file__).parent / "written_by_0_7").glob("*/")),
@@ -338,30 +243,3 @@ print(model.step(np.full(4, 0.01), np.ones(2)).tolist())
 def test_a_score_that_is_infinite_because_rollouts_diverge_is_stored_as_null(tmp_path):
     path = artifact.save(tmp_path / "model", MODELS["curved"], **DATA, scores={"test/rmse": float("inf")})
     assert artifact.load(path).card["scores"] == {"test/rmse": None}
-
-
-@pytest.mark.parametrize("file", ["card.json", "tables.safetensors", "reference.safetensors"])
-@pytest.mark.parametrize("version", ["now", "0.7"])
-def test_a_changed_bit_or_a_missing_end_is_refused_in_one_sentence_even_with_a_forged_hash(tmp_path, file, version):
-    directory, rng = tmp_path / "artifact", np.random.default_rng(0)
-    old = artifact.load(Path(__file__).parent / "written_by_0_7" / "SSMR" / "artifact")
-    if version == "now":
-        artifact.save(directory, old.model, **{name: old.card[name] for name in
-                                               ("output_names", "input_names", "rest", "input_range")})
-    else:
-        shutil.copytree(Path(__file__).parent / "written_by_0_7" / "SSMR" / "artifact", directory)
-    card, content = (directory / "card.json").read_bytes(), (directory / file).read_bytes()
-    for trial in range(40):
-        damaged = bytearray(content if trial % 4 else content[:rng.integers(len(content))])
-        if trial % 4:
-            damaged[rng.integers(min(len(content), 3000))] ^= 1 << rng.integers(8)
-        (directory / "card.json").write_bytes(card)
-        (directory / file).write_bytes(damaged)
-        if file != "card.json":
-            forged = json.loads(card)
-            forged["sha256"][file] = hashlib.sha256(damaged).hexdigest()
-            (directory / "card.json").write_text(json.dumps(forged))
-        try:
-            artifact.load(directory)  # what changed may say nothing of the model, such as a name
-        except ValueError as error:
-            assert type(error) is ValueError and str(directory) in str(error) and "\n" not in str(error)

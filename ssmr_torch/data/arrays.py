@@ -99,6 +99,7 @@ class _Columns:
         self.time = np.asarray(time.to_numpy() if hasattr(time, "to_numpy") else time)
 
     def recording(self, output_names, input_names, units: Units) -> Recording:
+        """The run in SI units, its columns in the order of the names; raises ValueError where lengths differ."""
         y = self.observation[1]
         u = np.zeros((len(y), len(input_names))) if self.input is None else self.input[1]
         if len(y) == len(u) + 1:

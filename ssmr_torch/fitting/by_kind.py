@@ -22,7 +22,7 @@ from ssmr_torch.fitting.training import Training, train
 from ssmr_torch.provenance import provenance
 from ssmr_torch.silence import LIGHTNING, quiet
 from ssmr_torch.trained_model import TrainedModel
-from ssmr_torch.trajectory import TrajectoryDataset
+from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 
 GROUPS = ("fit", "derivative", "plant", "trainer", "experiment")  # options that choose a file of conf/
 
@@ -49,9 +49,7 @@ def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name
     >>> model.predict(window, inputs, past_inputs=data[-1].input[:1]).shape
     (3, 2)
     """
-    if not isinstance(data, TrajectoryDataset):
-        raise TypeError(f"data is a {type(data).__name__}; expected a TrajectoryDataset, which read, load and "
-                        "trajectories return")
+    refuse_other_data(data)
     chosen, said = _kind(kind, config_dir)
     groups = {group: options.pop(group) for group in GROUPS if isinstance(options.get(group), str)}
     for group, choice in groups.items():
