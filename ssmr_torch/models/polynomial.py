@@ -12,6 +12,7 @@ from ssmr_torch.models.arrays import Array, identity, like, namespace
 from ssmr_torch.models.base import Linearization, Model, OutputLinearization, around, continuous, eigenvalues
 from ssmr_torch.models.integrators import map_linearization, repeated_map, rk4_linearization, rk4_step
 from ssmr_torch.models.monomials import Form, on_device
+from ssmr_torch.models.output_coordinates import OutputCoordinates, coordinates_from_plain
 from ssmr_torch.models.saturation import saturated
 from ssmr_torch.models.structure import Structure
 from ssmr_torch.periods import whole_multiple
@@ -26,7 +27,8 @@ class PolynomialModel(Model):
     with the monomials ψ, φ_w, φ of the `Structure`. chart (n, ·), or (0, ·) where z is ψ itself; parametrization
     (·, ·), p rows or all (n_d + 1) p of the window; dynamics (n, ·); window_scale: of ζ, or (0,) for none.
     substeps: Runge-Kutta steps within a timestep. base_timestep: s, what a map or an Euler step covers; a timestep is
-    a whole multiple of it. float64, SI.
+    a whole multiple of it. coordinates: ξ = χ(y) that stand for y in the window and the parametrization,
+    y = χ⁻¹(w(z)); None: y itself. reach: nonlinear terms saturate from reach times state_scale on. float64, SI.
     Raises ValueError for tables that do not fit the structure, or a timestep that is no whole multiple.
     """
 
@@ -40,15 +42,19 @@ class PolynomialModel(Model):
     window_scale: Array = ()
     base_timestep: float | None = None
     substeps: int = 1
+    coordinates: OutputCoordinates | None = None
+    reach: float = 1.0
 
     def __post_init__(self):
         super().__post_init__()
-        self.structure.check(self.state_dim, self.input_dim, self.window_dim + self.delays * self.input_dim,
+        self.structure.check(self.state_dim, self.input_dim, self.latent_window + self.delays * self.input_dim,
                              {name: getattr(self, name).shape for name in ("chart", "parametrization", "dynamics")})
         rows, scaled, seen = len(self.parametrization), len(self.window_scale), len(self.structure.window_order)
-        if rows not in (self.output_dim, self.window_dim):
-            raise ValueError(f"the parametrization has {rows} rows; expected {self.output_dim}, of the newest sample, "
-                             f"or {self.window_dim}, of the whole window")
+        if rows not in (self.latent_dim, self.latent_window):
+            raise ValueError(f"the parametrization has {rows} rows; expected {self.latent_dim}, of the newest sample, "
+                             f"or {self.latent_window}, of the whole window")
+        if not 0 < self.reach < np.inf:
+            raise ValueError(f"reach is {self.reach}; expected a positive, finite number")
         if scaled not in (0, seen):
             raise ValueError(f"window_scale has {scaled} entries; expected {seen}, one for each that the chart sees, "
                              "or none")
@@ -59,11 +65,23 @@ class PolynomialModel(Model):
         _ = self.repeats
 
     def plain(self) -> dict:
-        return super().plain() | {"structure": self.structure.plain()}
+        coordinates = None if self.coordinates is None else self.coordinates.plain()
+        return super().plain() | {"structure": self.structure.plain(), "coordinates": coordinates}
 
     @classmethod
     def from_plain(cls, arrays: dict[str, Array], plain: dict) -> PolynomialModel:
-        return super().from_plain(arrays, plain | {"structure": Structure.from_plain(plain["structure"])})
+        return super().from_plain(arrays, plain | {"structure": Structure.from_plain(plain["structure"]),
+                                                   "coordinates": coordinates_from_plain(plain.get("coordinates"))})
+
+    @cached_property
+    def latent_dim(self) -> int:
+        """Entries of one sample in the model's coordinates: p, or p' of its output coordinates."""
+        return self.output_dim if self.coordinates is None else self.coordinates.latent(self.output_dim)
+
+    @property
+    def latent_window(self) -> int:
+        """Number of values in a window in the model's coordinates."""
+        return (self.delays + 1) * self.latent_dim
 
     @property
     def flow(self) -> bool:
@@ -85,7 +103,7 @@ class PolynomialModel(Model):
 
     @property
     def takes_past_inputs(self) -> bool:
-        return max(self.structure.window_order) >= self.window_dim
+        return max(self.structure.window_order) >= self.latent_window
 
     @property
     def kind(self) -> str:
@@ -94,7 +112,7 @@ class PolynomialModel(Model):
     @property
     def geometry(self) -> str:
         rows, n, degree = len(self.parametrization), self.state_dim, self.structure.parametrization.highest
-        if rows == self.output_dim:
+        if rows == self.latent_dim:
             return super().geometry
         if rows == n:
             shape = f"p = n = {n}: the parametrization is linear, all nonlinearity sits in the dynamics"
@@ -128,8 +146,8 @@ class PolynomialModel(Model):
 
     @cached_property
     def output_form(self) -> Form:
-        """w over z, newest sample alone."""
-        return Form(self.structure.parametrization, self.parametrization[-self.output_dim:])
+        """w over z, newest sample alone, in the model's coordinates."""
+        return Form(self.structure.parametrization, self.parametrization[-self.latent_dim:])
 
     @cached_property
     def window_form(self) -> Form:
@@ -140,7 +158,7 @@ class PolynomialModel(Model):
     def edge(self) -> Array:
         """Of the range within which nothing saturates, (n,)."""
         xp = namespace(self.state_scale)
-        edge = xp.where(self.state_scale > 0, self.state_scale, np.inf)
+        edge = xp.where(self.state_scale > 0, self.reach * self.state_scale, np.inf)
         return edge if self.structure.saturated else xp.zeros_like(edge) + np.inf
 
     @cached_property
@@ -161,13 +179,13 @@ class PolynomialModel(Model):
     def observables(self, window: Array, inputs: Array | None = None) -> Array:
         """ζ / window_scale: (..., n_d + 1, p), (..., n_d, m) → (..., ·); inputs only if `takes_past_inputs`."""
         order, leading = self.structure.window_order, window.shape[:-2]
-        seen = window.reshape(*leading, -1)
+        seen = (window if self.coordinates is None else self.coordinates.forward(window)).reshape(*leading, -1)
         if self.takes_past_inputs:
             if inputs is None:
                 raise ValueError(f"this chart looks at the {self.delays} inputs held within a window; give them as "
                                  f"well, (…, {self.delays}, {self.input_dim})")
             seen = namespace(seen).concatenate([seen, inputs.reshape(*leading, -1)], -1)
-        expected = self.window_dim + (self.delays * self.input_dim if self.takes_past_inputs else 0)
+        expected = self.latent_window + (self.delays * self.input_dim if self.takes_past_inputs else 0)
         if seen.shape[-1] != expected:
             raise ValueError(f"a window of {seen.shape[-1]} values, with the inputs that the chart sees; expected "
                              f"{expected}, of {self.delays + 1} samples of {self.output_dim} outputs and, where it "
@@ -177,16 +195,20 @@ class PolynomialModel(Model):
         return seen / self.window_scale if len(self.window_scale) else seen
 
     def decode(self, z: Array) -> Array:
-        return self.output_form(z)
+        xi = self.output_form(z)
+        return xi if self.coordinates is None else self.coordinates.inverse(xi)
 
     def decode_window(self, z: Array) -> Array:
         """The whole window w(z), (..., n) → (..., n_d + 1, p), of a model whose parametrization has all its rows."""
-        return self.window_form(z).reshape(*z.shape[:-1], -1, self.output_dim)
+        found = self.window_form(z).reshape(*z.shape[:-1], -1, self.latent_dim)
+        return found if self.coordinates is None else self.coordinates.inverse(found)
 
     def linearize_output(self, z: Array) -> OutputLinearization:
         form = self.output_form
         closure = form.monomials.multiplied_out(z)
         C, y = form.jacobian(closure, 0, self.state_dim), form.monomials.chosen(closure) @ form.table.T
+        if self.coordinates is not None:
+            C, y = self.coordinates.inverse_jacobian(y) @ C, self.coordinates.inverse(y)
         return OutputLinearization(C, y - (C @ z[..., None])[..., 0])
 
     def joint(self, z: Array, u: Array) -> tuple[Array, Array]:

@@ -1,0 +1,259 @@
+"""Coordinates ξ = χ(y) of the outputs in which a robot's motion is closer to linear; exactly invertible."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+from math import factorial
+
+import numpy as np
+
+from ssmr_torch.lazy import found
+from ssmr_torch.models.arrays import Array, like, namespace
+
+TERMS = 16  # of the power series; the first one left out is below rounding up to a = π
+TINY = 1e-300
+
+# sin(a)/a, its derivative by t = a², and cos(a), as power series in t: smooth, and without a case for a = 0
+SINC = tuple((-1) ** k / factorial(2 * k + 1) for k in range(TERMS))
+SINC_SLOPE = tuple(k * SINC[k] for k in range(1, TERMS))
+COSINE = tuple((-1) ** k / factorial(2 * k) for k in range(TERMS))
+
+
+@dataclass(frozen=True)
+class OutputCoordinates(ABC):
+    """ξ = χ(y), displacements from rest (..., p) in m to coordinates (..., p') in m, χ(0) = 0.
+
+    A subclass is a frozen dataclass of plain values (numbers, words, tuples of them), which an artifact holds, and
+    writes `forward` and `inverse` with what NumPy and Torch call alike. It is found again by its module and name.
+
+    latent: p', the number of coordinates, p unless a subclass has more.
+    """
+
+    @abstractmethod
+    def forward(self, y: Array) -> Array:
+        """ξ = χ(y), (..., p) → (..., p')."""
+
+    @abstractmethod
+    def inverse(self, xi: Array) -> Array:
+        """y = χ⁻¹(ξ), (..., p') → (..., p)."""
+
+    def inverse_jacobian(self, xi: Array) -> Array:
+        """∂y/∂ξ, (..., p, p'); by central differences unless a subclass has it exactly."""
+        xp, columns = namespace(xi), []
+        step = 1e-6
+        for j in range(xi.shape[-1]):
+            along = like(xi, np.eye(xi.shape[-1])[j] * step)
+            columns.append((self.inverse(xi + along) - self.inverse(xi - along)) / (2.0 * step))
+        return xp.stack(columns, -1)
+
+    def latent(self, output_dim: int) -> int:
+        """p', for p outputs. Raises ValueError where the coordinates are not of so many outputs."""
+        return output_dim
+
+    def markers(self) -> np.ndarray | None:
+        """What compiled code needs, see `Mixture.markers`; None where it cannot have these coordinates."""
+        return None
+
+    def plain(self) -> dict:
+        """As JSON has it; `coordinates_from_plain` is its inverse."""
+        return {"class": f"{type(self).__module__}:{type(self).__qualname__}",
+                **{field.name: getattr(self, field.name) for field in fields(self)}}
+
+    @classmethod
+    def from_plain(cls, values: dict) -> OutputCoordinates:
+        """These coordinates from their fields."""
+        return cls(**{name: _tuples(value) for name, value in values.items()})
+
+
+@dataclass(frozen=True)
+class Identity(OutputCoordinates):
+    """ξ = y, of `size` outputs."""
+
+    size: int
+
+    def forward(self, y: Array) -> Array:
+        return y
+
+    def inverse(self, xi: Array) -> Array:
+        return xi
+
+    def latent(self, output_dim: int) -> int:
+        return _agreeing(self.size, output_dim)
+
+    def inverse_jacobian(self, xi: Array) -> Array:
+        return like(xi, np.eye(self.size)) + 0.0 * xi[..., None]
+
+    def markers(self) -> np.ndarray:
+        return np.array([[0.0, 0.0, self.size, 1.0, 0.0, 0.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class ConstantCurvature(OutputCoordinates):
+    """Bending and length of a constant-curvature arc from a base to each marker.
+
+    With c the vector from the base to the marker at rest, e = c/‖c‖, r₀ = ‖c‖, P = c + y, a the angle between P and e,
+    and n the lateral unit direction of P:
+
+        ξ = r₀ a n + (‖P‖ a / sin a − r₀) e,
+
+    so that the lateral part is the bending angle, in the length of r₀, and the axial part the change of arc length.
+    bases: c of each marker, 2 or 3 numbers in m. For markers of one plane or of space, all alike.
+    [Webster and Jones, Design and kinematic modeling of constant curvature continuum robots, 2010]
+    """
+
+    bases: tuple[tuple[float, ...], ...]
+
+    def latent(self, output_dim: int) -> int:
+        return _agreeing(sum(map(len, self.bases)), output_dim)
+
+    def forward(self, y: Array) -> Array:
+        xp, parts = namespace(y), []
+        for d, e, r0 in self._of_markers(y):
+            P = d + r0 * e
+            axial = (P * e).sum(-1)[..., None]
+            lateral = P - axial * e
+            rho = xp.sqrt((lateral * lateral).sum(-1)[..., None] + TINY)
+            length = xp.sqrt(axial * axial + rho * rho)
+            # the half angle has no case of its own for a chord at right angles to the axis
+            angle = 2.0 * xp.arctan(rho / (axial + length))
+            arc = length / _series(SINC, angle * angle)
+            parts.append(r0 * (angle / rho) * lateral + (arc - r0) * e)
+        return xp.concatenate(parts, -1)
+
+    def inverse(self, xi: Array) -> Array:
+        xp, parts = namespace(xi), []
+        for d, e, r0 in self._of_markers(xi):
+            along = (d * e).sum(-1)[..., None]
+            lateral = (d - along * e) / r0
+            t = (lateral * lateral).sum(-1)[..., None]
+            sinc = _series(SINC, t)
+            parts.append((along + r0) * sinc * (_series(COSINE, t) * e + sinc * lateral) - r0 * e)
+        return xp.concatenate(parts, -1)
+
+    def inverse_jacobian(self, xi: Array) -> Array:
+        xp, blocks, first, size = namespace(xi), [], 0, xi.shape[-1]
+        for d, e, r0 in self._of_markers(xi):
+            q = d.shape[-1]
+            block = _arc_jacobian(d, e, r0)
+            zeros = xp.zeros_like(d)
+            left = [zeros[..., :1] * 0.0 + like(xi, np.zeros(first))] if first else []
+            right = [zeros[..., :1] * 0.0 + like(xi, np.zeros(size - first - q))] if size > first + q else []
+            blocks += [xp.concatenate([*left, block[..., i, :], *right], -1) for i in range(q)]
+            first += q
+        return xp.stack(blocks, -2)
+
+    def markers(self) -> np.ndarray:
+        rows, first = [], 0
+        for base in self.bases:
+            r0 = float(np.linalg.norm(base))
+            axis = [*(np.array(base) / r0), 0.0][:3]
+            rows.append([first, first, len(base), 1.0, r0, *axis])
+            first += len(base)
+        return np.array(rows)
+
+    def _of_markers(self, array: Array):
+        """Columns (..., q), axis e and rest length r₀ of each marker."""
+        first = 0
+        for base in self.bases:
+            r0 = float(np.linalg.norm(base))
+            yield array[..., first:first + len(base)], like(array, np.array(base) / r0), r0
+            first += len(base)
+
+
+@dataclass(frozen=True)
+class Mixture(OutputCoordinates):
+    """Several coordinates of the same outputs side by side, ξ = [χ_1(y), χ_2(y), …], and y = Σ_i w_i χ_i⁻¹(ξ_i).
+
+    parts: the coordinates; weights: w_i, positive, of sum one. What averages models of different coordinates.
+    """
+
+    parts: tuple[OutputCoordinates, ...]
+    weights: tuple[float, ...]
+    size: int
+
+    def latent(self, output_dim: int) -> int:
+        return sum(part.latent(_agreeing(self.size, output_dim)) for part in self.parts)
+
+    def forward(self, y: Array) -> Array:
+        return namespace(y).concatenate([part.forward(y) for part in self.parts], -1)
+
+    def inverse(self, xi: Array) -> Array:
+        return sum(weight * part.inverse(piece) for part, weight, piece in self._pieces(xi))
+
+    def inverse_jacobian(self, xi: Array) -> Array:
+        return namespace(xi).concatenate([weight * part.inverse_jacobian(piece)
+                                          for part, weight, piece in self._pieces(xi)], -1)
+
+    def markers(self) -> np.ndarray | None:
+        """Rows (first coordinate, first output, how many, weight, r₀, e), r₀ = 0 of coordinates that are outputs."""
+        rows, first = [], 0
+        for part, weight in zip(self.parts, self.weights):
+            each = part.markers()
+            if each is None:
+                return None
+            each[:, 0] += first
+            each[:, 3] *= weight
+            rows.append(each)
+            first += part.latent(self.size)
+        return np.concatenate(rows)
+
+    def plain(self) -> dict:
+        return super().plain() | {"parts": [part.plain() for part in self.parts]}
+
+    @classmethod
+    def from_plain(cls, values: dict) -> Mixture:
+        parts = tuple(coordinates_from_plain(part) for part in values["parts"])
+        return cls(parts, tuple(values["weights"]), int(values["size"]))
+
+    def _pieces(self, xi: Array):
+        first = 0
+        for part, weight in zip(self.parts, self.weights):
+            count = part.latent(self.size)
+            yield part, weight, xi[..., first:first + count]
+            first += count
+
+
+def coordinates_from_plain(plain: dict | None) -> OutputCoordinates | None:
+    """What `plain` gave; None of None. Raises ValueError for a class that is none, ImportError where it is missing."""
+    if plain is None:
+        return None
+    values = dict(plain)
+    family = found(values.pop("class"))
+    if not (isinstance(family, type) and issubclass(family, OutputCoordinates)):
+        raise ValueError(f"{plain['class']} is no class of output coordinates")
+    return family.from_plain(values)
+
+
+def _series(coefficients: tuple[float, ...], t: Array) -> Array:
+    """Σ_k coefficients[k] t^k."""
+    total = coefficients[-1] + 0.0 * t
+    for coefficient in coefficients[-2::-1]:
+        total = coefficient + t * total
+    return total
+
+
+def _arc_jacobian(d: Array, e: Array, r0: float) -> Array:
+    """∂y/∂ξ of one marker, (..., q, q)."""
+    along = (d * e).sum(-1)[..., None]
+    lateral = (d - along * e) / r0
+    t = (lateral * lateral).sum(-1)[..., None]
+    sinc, cosine, slope = _series(SINC, t), _series(COSINE, t), _series(SINC_SLOPE, t)
+    q = d.shape[-1]
+    across = (like(d, np.eye(q)) - e[:, None] * e) / r0                       # ∂lateral/∂ξ
+    of_t = 2.0 * lateral @ across                                             # ∂t/∂ξ, and so on
+    chord, of_chord = (along + r0) * sinc, sinc * e + (along + r0) * slope * of_t
+    direction = cosine * e + sinc * lateral
+    of_direction = ((-0.5 * sinc * e + slope * lateral)[..., :, None] * of_t[..., None, :]
+                    + sinc[..., None] * across)
+    return direction[..., :, None] * of_chord[..., None, :] + chord[..., None] * of_direction
+
+
+def _agreeing(size: int, output_dim: int) -> int:
+    if size != output_dim:
+        raise ValueError(f"output coordinates of {size} outputs for a model of {output_dim}; give those of all outputs")
+    return size
+
+
+def _tuples(value):
+    return tuple(map(_tuples, value)) if isinstance(value, (list, tuple)) else value

@@ -1,0 +1,127 @@
+"""The closed form of a specification: charts, regressors and their moments by fold, and models of any ridge."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from ssmr_torch.models.monomials import Monomials
+from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.selection.assembly import Assembly
+from ssmr_torch.selection.charts import (
+    Chart,
+    delay_chart,
+    future_inputs,
+    past_of,
+    predictive_chart,
+    predictive_targets,
+    tangent_chart,
+)
+from ssmr_torch.selection.features import flow_monomials
+from ssmr_torch.selection.least_squares import Moments, by_fold
+from ssmr_torch.selection.samples import FOLDS, Samples
+from ssmr_torch.selection.specification import Specification
+
+LINEAR_RIDGE = 1e-9
+ALL = FOLDS  # the place of what is fitted to all folds
+
+
+class ClosedForm:
+    """What specifications that differ in ridge alone share; `model(ridge, fold)` gives one of them.
+
+    samples: the runs; noise: of their measurement, m.
+    Raises ValueError for a specification that the data cannot determine.
+    """
+
+    def __init__(self, samples: Samples, specification: Specification, noise: float = 0.0):
+        self.samples, self.specification, self.noise = samples, specification, noise
+        self.latent_dim = samples.latent(specification.coordinates).shape[1]
+        self.rows = samples.rows(1, specification.decays)
+        self.touching = samples.touching(self.rows, 1)
+        if len(self.rows) < 50:
+            raise ValueError(f"{len(self.rows)} rows with {samples.past} samples before them; record longer runs")
+
+    @cached_property
+    def charts(self) -> list[Chart]:
+        """One per fold, then that of all rows; where the chart does not depend on them, one and the same."""
+        chosen, samples = self.specification, self.samples
+        d, p, m = chosen.delays, self.latent_dim, samples.input_dim
+        if chosen.chart == "delay":
+            newest = samples.latent(chosen.coordinates)[self.rows]
+            directions = np.linalg.eigh(newest.T @ newest)[1][:, ::-1].T
+            return [delay_chart(d, directions, m)] * (FOLDS + 1)
+        window, newest = slice(1, 1 + (d + 1) * p), slice(1 + d * p, 1 + (d + 1) * p)
+        if chosen.states > (d + 1) * p:
+            raise ValueError(f"{chosen.states} states of windows with {(d + 1) * p} values")
+        if chosen.chart == "tangent_space":
+            decays = past_of(samples, chosen.coordinates, d, self.rows[samples.is_decay[self.rows]])
+            if not len(decays):
+                raise ValueError("no decays, whose tangent space is asked for")
+            past = past_of(samples, chosen.coordinates, d, self.rows)
+            chart = tangent_chart(decays.T @ decays / len(decays), past.T @ past / len(past), window, newest,
+                                  chosen.states)
+            return [chart] * (FOLDS + 1)
+        rows = samples.rows(chosen.future, chosen.decays)
+        past = past_of(samples, chosen.coordinates, d, rows)
+        X = np.concatenate([past, future_inputs(samples, chosen.future, rows)], axis=1)
+        T = predictive_targets(samples, chosen, rows, self.noise)
+        if chosen.states > min(T.shape[1], past.shape[1]):
+            raise ValueError(f"{chosen.states} states of {T.shape[1]} values that a chart must tell")
+        return [predictive_chart(moments, past.shape[1], newest, chosen.states)
+                for moments in by_fold(X, T, samples.touching(rows, chosen.future))]
+
+    @cached_property
+    def assembly(self) -> Assembly:
+        chosen, chart = self.specification, self.charts[ALL]
+        leading = min(chosen.leading or chart.leading, chart.leading)
+        follows = (chart.leading - leading) + chart.follows if chosen.chart != "delay" else self.latent_dim
+        n, m = len(chart.V), self.samples.input_dim
+        memory = m if chosen.pole else m * int(chosen.memory[1])
+        linear, beyond = flow_monomials(chosen.features, slow=n, leading=leading, follows=follows, memory=memory,
+                                        inputs=m, pole=chosen.pole)
+        return Assembly(self.samples, chosen, n, self.latent_dim, memory, linear, beyond)
+
+    @cached_property
+    def memory(self) -> np.ndarray:
+        """s̃ of the rows, centred and scaled, (R, n_s)."""
+        samples, chosen = self.samples, self.specification
+        past = (samples.u[self.rows[:, None] + np.arange(-samples.past, 0)] - samples.input_mean) / samples.input_scale
+        return np.einsum("rkm,jk->rjm", past, chosen.memory_weights(samples.past)).reshape(len(self.rows), -1)
+
+    @cached_property
+    def moments(self) -> list[tuple[Moments, Moments | None, np.ndarray]]:
+        """Of the flow map and of the outputs, and the largest |z|, by fold and of all."""
+        same = self.charts[0] is self.charts[ALL]
+        if same:
+            X, T, psi, xi, largest = self._regressors(self.charts[ALL])
+            outputs = [None] * (FOLDS + 1) if psi is None else list(by_fold(psi, xi, self.touching))
+            return [(flow, output, largest) for flow, output in zip(by_fold(X, T, self.touching), outputs)]
+        found = []
+        for fold, chart in enumerate(self.charts):
+            keep = slice(None) if fold == ALL else ~self.touching[fold]
+            X, T, psi, xi, largest = self._regressors(chart)
+            found.append((Moments.of(X[keep], T[keep]), Moments.of(psi[keep], xi[keep]), largest))
+        return found
+
+    def _regressors(self, chart: Chart):
+        samples, chosen, assembly = self.samples, self.specification, self.assembly
+        here, ahead = (past_of(samples, chosen.coordinates, chosen.delays, self.rows + k) @ chart.V.T for k in (0, 1))
+        inputs = (samples.u[self.rows] - samples.input_mean) / samples.input_scale
+        X = assembly.regressors(np.concatenate([here, self.memory, inputs], axis=1))
+        T = (ahead - here @ chart.L.T) @ np.linalg.pinv(chart.E).T
+        psi = xi = None
+        if chart.exact is None:
+            psi = assembly.outputs(np.concatenate([here, self.memory], axis=1))
+            xi = samples.latent(chosen.coordinates)[self.rows]
+        return X, T, psi, xi, np.abs(here).max(0)
+
+    def model(self, ridge: float, fold: int = ALL) -> PolynomialModel:
+        """The model that is fitted to what a fold leaves, in SI units."""
+        chart, assembly = self.charts[fold], self.assembly
+        flow, outputs, largest = self.moments[fold]
+        penalty = np.full(len(assembly.linear) + len(assembly.beyond), ridge)
+        penalty[:len(assembly.linear)] = LINEAR_RIDGE
+        theta = flow.solution(penalty)
+        psi = None if outputs is None else outputs.solution(LINEAR_RIDGE)
+        return assembly.model(chart, theta, psi, largest)

@@ -1,0 +1,131 @@
+"""The training runs in the shape that a selection needs: scaled, in pieces dealt into folds, with starts to score."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssmr_torch.models.output_coordinates import OutputCoordinates
+
+FOLDS = 4
+PIECE = 3.0            # s, of a piece that one fold holds out
+HORIZONS = (0.05, 0.2, 1.0)
+PAST = 20              # samples before a start that any candidate may look at
+STARTS, FAST_STARTS = 120, 80
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Where rollouts begin: window (N, PAST + 1, p), past (N, PAST, m) and inputs (N, H, m), what follows (N, H, p)."""
+
+    window: np.ndarray
+    past: np.ndarray
+    inputs: np.ndarray
+    follows: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.window)
+
+    def thinned(self, count: int) -> Starts:
+        """At most `count` of them, evenly spread."""
+        if len(self) <= count:
+            return self
+        chosen = np.unique(np.linspace(0, len(self) - 1, count).astype(int))
+        return Starts(*(getattr(self, name)[chosen] for name in ("window", "past", "inputs", "follows")))
+
+
+class Samples:
+    """Runs y (T, p) in m, u (T, m), sampled every `timestep` s; u[k] is held from y[k] to y[k + 1].
+
+    coordinates: output coordinates by name, None for the identity. targets: columns of y that are scored.
+    scale: m, root mean square of y; input_mean, input_scale: (m,) of the controlled runs.
+    owner, fold: (S,) run and fold of each sample of the runs one after the other, −1 of decays.
+    """
+
+    def __init__(self, decays: Sequence, controlled: Sequence, timestep: float, *,
+                 coordinates: Mapping[str, OutputCoordinates | None], targets: Sequence[int], past: int = PAST):
+        self.timestep, self.past, self.targets = float(timestep), past, list(targets)
+        self.coordinates = dict(coordinates)
+        self.decays, self.controlled = list(decays), list(controlled)
+        runs = [*self.decays, *self.controlled]
+        self.y, self.u = (np.concatenate([run[k] for run in runs]) for k in (0, 1))
+        self.output_dim, self.input_dim = self.y.shape[1], self.u.shape[1]
+        controlled_y, controlled_u = (np.concatenate([run[k] for run in self.controlled]) for k in (0, 1))
+        self.scale = float(np.sqrt(np.mean(controlled_y ** 2)))
+        self.input_mean, self.input_scale = controlled_u.mean(0), np.maximum(controlled_u.std(0), 1e-300)
+        self.lengths = np.array([len(y) for y, _ in runs])
+        self.first = np.concatenate([[0], np.cumsum(self.lengths)[:-1]])
+        self.owner = np.repeat(np.arange(len(runs)), self.lengths)
+        self.pieces = list(self._pieces())
+        self.fold = np.full(len(self.y), -1)
+        for number, (begin, end) in enumerate(self.pieces):
+            self.fold[begin:end] = number % FOLDS
+        self.horizons = self._horizons()
+        self._latent: dict[str, np.ndarray] = {}
+
+    def _pieces(self):
+        length = max(1, round(PIECE / self.timestep))
+        for run in range(len(self.decays), len(self.lengths)):
+            ends = np.linspace(0, self.lengths[run], max(1, int(self.lengths[run]) // length) + 1).astype(int)
+            yield from zip(self.first[run] + ends[:-1], self.first[run] + ends[1:])
+
+    def _horizons(self) -> list[int]:
+        """Steps of the horizons, shorter ones where no piece is long enough for a second."""
+        longest = max(end - begin for begin, end in self.pieces)
+        room = max(2, (longest - self.past) // 2)
+        steps = [round(seconds / self.timestep) for seconds in HORIZONS]
+        if steps[-1] > room:
+            steps = [max(1, round(steps_ * room / steps[-1])) for steps_ in steps]
+        return sorted({max(1, step) for step in steps})
+
+    @property
+    def is_decay(self) -> np.ndarray:
+        """(S,) samples of decays."""
+        return self.owner < len(self.decays)
+
+    def latent(self, name: str) -> np.ndarray:
+        """ξ = χ(y) of all samples, scaled, (S, p')."""
+        if name not in self._latent:
+            chi = self.coordinates[name]
+            self._latent[name] = (self.y if chi is None else chi.forward(self.y)) / self.scale
+        return self._latent[name]
+
+    def rows(self, ahead: int, decays: bool) -> np.ndarray:
+        """Samples with `past` before and `ahead` after them in their run."""
+        place = np.arange(len(self.y)) - self.first[self.owner]
+        inside = (place >= self.past) & (place + ahead < self.lengths[self.owner])
+        return np.flatnonzero(inside if decays else inside & ~self.is_decay)
+
+    def touching(self, rows: np.ndarray, ahead: int) -> np.ndarray:
+        """(FOLDS, R) whether a row looks at samples that the fold holds out."""
+        seen = [self.fold[rows + shift] for shift in (-self.past, 0, ahead)]
+        return np.stack([np.any([each == fold for each in seen], axis=0) for fold in range(FOLDS)])
+
+    def starts(self, samples: np.ndarray, horizon: int) -> Starts:
+        """What a rollout from these samples over so many steps needs."""
+        samples = np.asarray(samples)[:, None]
+        return Starts(self.y[samples + np.arange(-self.past, 1)], self.u[samples + np.arange(-self.past, 0)],
+                      self.u[samples + np.arange(horizon)], self.y[samples + np.arange(1, horizon + 1)])
+
+    def held_out(self, fold: int) -> Starts:
+        """Starts whose future lies within the pieces of a fold."""
+        horizon = self.horizons[-1]
+        found = [np.arange(max(begin, self.first[self.owner[begin]] + self.past), end - horizon)
+                 for begin, end in self.pieces[fold::FOLDS]]
+        samples = np.concatenate([np.empty(0, dtype=int), *found])
+        return self.starts(samples[_even(len(samples), STARTS)], horizon)
+
+    def hurried(self) -> Starts:
+        """Starts of all controlled runs whose inputs follow each other twice as fast."""
+        horizon = self.horizons[-1]
+        samples = self.rows(2 * horizon, decays=False)
+        if not len(samples):
+            samples, horizon = self.rows(horizon, decays=False), horizon // 2
+        found = self.starts(samples[_even(len(samples), FAST_STARTS)], 2 * horizon)
+        return Starts(found.window, found.past, np.ascontiguousarray(found.inputs[:, ::2]), found.follows[:, :horizon])
+
+
+def _even(size: int, count: int) -> np.ndarray:
+    return np.unique(np.linspace(0, size - 1, min(count, size)).astype(int)) if size else np.empty(0, dtype=int)
