@@ -62,10 +62,14 @@ class CompiledBatch(BatchRollout):
     def _run(self, z, inputs, lengths, bound, states, outputs):
         N, H, _ = inputs.shape
         found = np.empty((N if states else 0, H + 1, z.shape[1]))
-        seen = np.empty((N if outputs else 0, H, self.model.output_dim))
+        seen = np.empty((N if outputs else 0, H, self.model.latent_dim))
         diverged_at = np.empty(N, dtype=np.int64)
         _roll(*(np.ascontiguousarray(each, dtype=np.float64) for each in (z, inputs)),
               np.ascontiguousarray(lengths, dtype=np.int64), float(bound), self._tables, found, seen, diverged_at)
+        if self.model.coordinates is not None and outputs:
+            with np.errstate(over="ignore", invalid="ignore"):
+                seen = np.where(np.isfinite(seen), seen, np.inf)
+                seen = np.where(np.isfinite(seen).all(-1, keepdims=True), self.model.coordinates.inverse(seen), np.inf)
         return found, seen, diverged_at
 
 

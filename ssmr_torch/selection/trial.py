@@ -1,0 +1,120 @@
+"""How a specification does on what the folds hold out, and how far its fits differ at double speed.
+
+    e_h: geometric mean over held-out starts of the rms error up to horizon h
+    v_h: the same of the deviation of the folds' fits from their mean, over training starts replayed at double speed
+    score: mean over h of ½ log(e_h² + v_h²)
+
+e says what is wrong, v what the data do not determine; both in units of persistence's error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from time import process_time
+
+import numpy as np
+
+from ssmr_torch.models.batch_rollout import batch_of
+from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.selection.candidate import ClosedForm
+from ssmr_torch.selection.samples import FOLDS, Samples, Starts
+from ssmr_torch.selection.specification import Specification
+
+FAR = 50.0        # times the outputs' size: what a diverged rollout counts
+FLOOR = 1e-9      # of the outputs' size
+MOST_LEFT = 100.0
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """score, e (h,), v (h,); predictions: of the targets, one per fold, then one per fold at double speed, scaled."""
+
+    score: float
+    e: np.ndarray
+    v: np.ndarray
+    predictions: list[np.ndarray] = field(default_factory=list, repr=False)
+
+
+FAILED = Outcome(np.inf, np.full(3, np.inf), np.full(3, np.inf))
+
+
+class Trial:
+    """Tries specifications on one set of runs; horizons: indices of those of the samples that count."""
+
+    def __init__(self, samples: Samples, *, horizons: Sequence[int] | None = None, noise: float = 0.0):
+        self.samples, self.noise, self.began = samples, noise, process_time()
+        self.horizons = list(range(len(samples.horizons))) if horizons is None else list(horizons)
+        self.held_out = [samples.held_out(fold) for fold in range(FOLDS)]
+        self.fast = samples.hurried()
+        self.outcomes: dict[Specification, Outcome] = {}
+        self._closed: tuple[tuple, ClosedForm] | None = None
+        still = [(starts.window[:, -1:, samples.targets] - starts.follows[:, :, samples.targets]) / samples.scale
+                 for starts in self.held_out if len(starts)]
+        self.persistence = self._errors([np.square(each).sum(-1) for each in still])
+
+    @property
+    def cpu(self) -> float:
+        """CPU seconds since the trial began."""
+        return process_time() - self.began
+
+    def __call__(self, specification: Specification) -> float:
+        """The score, infinite for what cannot be fitted or diverges."""
+        if specification not in self.outcomes:
+            try:
+                closed = self.closed_form(specification)
+                models = [self.fitted(closed, specification, fold) for fold in range(FOLDS)]
+                predictions = [self.predicted(model, starts) for model, starts in zip(models, self.held_out)]
+                predictions += [self.predicted(model, self.fast) for model in models]
+                self.outcomes[specification] = self.judged(predictions)
+            except (np.linalg.LinAlgError, ValueError):
+                self.outcomes[specification] = FAILED
+        return self.outcomes[specification].score
+
+    def closed_form(self, specification: Specification) -> ClosedForm:
+        """Its closed form; that of the last one is kept, for specifications that differ in ridge alone."""
+        if self._closed is None or self._closed[0] != specification.regression:
+            self._closed = specification.regression, ClosedForm(self.samples, specification, self.noise)
+        return self._closed[1]
+
+    def fitted(self, closed: ClosedForm, specification: Specification, fold: int) -> PolynomialModel:
+        """The model of what a fold leaves, or of all."""
+        return closed.model(specification.ridge, fold)
+
+    def predicted(self, model: PolynomialModel, starts: Starts) -> np.ndarray:
+        """Targets along the horizon, scaled, (N, H, targets); what diverged is far away."""
+        found = rolled_out(model, starts)[..., self.samples.targets] / self.samples.scale
+        return np.nan_to_num(found, nan=1e3, posinf=1e3, neginf=-1e3).astype(np.float32)
+
+    def judged(self, predictions: list[np.ndarray]) -> Outcome:
+        """The outcome of predictions, of one specification or of an average."""
+        held, fast = predictions[:FOLDS], np.stack(predictions[FOLDS:])
+        held = [each.clip(-FAR, FAR) for each in held]
+        fast = fast.clip(-FAR, FAR)
+        truth = [starts.follows[:, :, self.samples.targets] / self.samples.scale for starts in self.held_out]
+        squares = [np.square(each - true).sum(-1) for each, true in zip(held, truth) if len(true)]
+        spread = np.square(fast - fast.mean(0)).sum(-1).mean(0)
+        e = self._errors(squares) / self.persistence
+        v = self._errors([spread]) / self.persistence
+        left = max(np.abs(each).max(initial=0.0) for each in predictions[:FOLDS])
+        score = 0.5 * np.log(e ** 2 + v ** 2)[self.horizons].mean() if left < MOST_LEFT else np.inf
+        return Outcome(float(score), e, v, predictions)
+
+    def _errors(self, squares: Iterable[np.ndarray]) -> np.ndarray:
+        """Geometric mean over starts of the rms error up to each horizon, (h,); squares (N, H) of each group."""
+        return np.array([np.exp(np.mean([np.log(np.sqrt(each[:, :steps].mean(1)) + FLOOR).mean() for each in squares]))
+                         for steps in self.samples.horizons])
+
+    def best(self, count: int | None = None, keep=lambda specification: True) -> list[Specification]:
+        """The specifications of lowest score that `keep` likes."""
+        order = sorted(self.outcomes, key=lambda specification: self.outcomes[specification].score)
+        return [each for each in order if np.isfinite(self.outcomes[each].score) and keep(each)][:count]
+
+
+def rolled_out(model: PolynomialModel, starts: Starts) -> np.ndarray:
+    """Outputs along the horizon, m, (N, H, p), infinite from where a rollout diverged."""
+    delays = model.delays
+    window = starts.window[:, starts.window.shape[1] - delays - 1:]
+    past = starts.past[:, starts.past.shape[1] - delays:]
+    with np.errstate(over="ignore", invalid="ignore"):
+        return batch_of(model).outputs(model.encode(window, past), starts.inputs)
