@@ -6,7 +6,6 @@ from functools import cached_property
 
 import numpy as np
 
-from ssmr_torch.models.monomials import Monomials
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.selection.assembly import Assembly
 from ssmr_torch.selection.charts import (

@@ -14,6 +14,9 @@ PIECE = 3.0            # s, of a piece that one fold holds out
 HORIZONS = (0.05, 0.2, 1.0)
 PAST = 20              # samples before a start that any candidate may look at
 STARTS, FAST_STARTS = 120, 80
+FITTED = 150           # starts of rollouts that a model is fitted to
+LEAST = 2000           # rows of decays that are kept however few the controlled ones are
+STRONGER = 1.25        # inputs beyond the recorded ones, under which the fits are compared
 
 
 @dataclass(frozen=True)
@@ -93,10 +96,16 @@ class Samples:
         return self._latent[name]
 
     def rows(self, ahead: int, decays: bool) -> np.ndarray:
-        """Samples with `past` before and `ahead` after them in their run."""
+        """Samples with `past` before and `ahead` after them in their run; of the decays, evenly, no more than of the
+        controlled runs: smooth motion repeats itself from sample to sample.
+        """
         place = np.arange(len(self.y)) - self.first[self.owner]
         inside = (place >= self.past) & (place + ahead < self.lengths[self.owner])
-        return np.flatnonzero(inside if decays else inside & ~self.is_decay)
+        controlled = np.flatnonzero(inside & ~self.is_decay)
+        if not decays:
+            return controlled
+        of_decays = np.flatnonzero(inside & self.is_decay)
+        return np.concatenate([of_decays[_even(len(of_decays), max(len(controlled), LEAST))], controlled])
 
     def touching(self, rows: np.ndarray, ahead: int) -> np.ndarray:
         """(FOLDS, R) whether a row looks at samples that the fold holds out."""
@@ -117,14 +126,24 @@ class Samples:
         samples = np.concatenate([np.empty(0, dtype=int), *found])
         return self.starts(samples[_even(len(samples), STARTS)], horizon)
 
+    def training(self, fold: int) -> Starts:
+        """Starts of controlled runs that do not touch a fold's pieces, for rollouts that are fitted; FOLDS: of all."""
+        horizon = self.horizons[-1]
+        samples = self.rows(horizon, decays=False)
+        if fold < FOLDS:
+            ends = np.stack([self.fold[samples + shift] for shift in (-self.past, 0, horizon // 2, horizon)])
+            samples = samples[(ends != fold).all(0)]
+        return self.starts(samples[_even(len(samples), FITTED)], horizon)
+
     def hurried(self) -> Starts:
-        """Starts of all controlled runs whose inputs follow each other twice as fast."""
+        """Starts of all controlled runs whose inputs follow each other twice as fast and are a quarter stronger."""
         horizon = self.horizons[-1]
         samples = self.rows(2 * horizon, decays=False)
         if not len(samples):
             samples, horizon = self.rows(horizon, decays=False), horizon // 2
         found = self.starts(samples[_even(len(samples), FAST_STARTS)], 2 * horizon)
-        return Starts(found.window, found.past, np.ascontiguousarray(found.inputs[:, ::2]), found.follows[:, :horizon])
+        inputs = np.ascontiguousarray(STRONGER * found.inputs[:, ::2])
+        return Starts(found.window, found.past, inputs, found.follows[:, :horizon])
 
 
 def _even(size: int, count: int) -> np.ndarray:

@@ -15,11 +15,26 @@ RIDGES = (1e-6, 1e-4, 1e-2)
 ACTUATORS = (0.02, 0.05, 0.1, 0.2)  # s, time constants
 
 
-def search(trial: Trial, *, decays: bool, say: Callable[[str], None] = lambda line: None) -> None:
+# What a family may be: charts, features and memories; by what a model of that name is.
+FAMILIES = {
+    "slow_fast": lambda each: True,
+    "dmd": lambda each: each.chart == "delay" and each.features == "linear" and not each.pole,
+    "edmd_bilinear": lambda each: each.chart == "delay" and each.features in ("linear", "bilinear") and not each.pole,
+    "edmd_relift": lambda each: each.chart == "delay" and each.features in ("linear", "quadratic_map")
+    and not each.pole}
+
+
+def search(trial: Trial, *, decays: bool, family: str = "slow_fast", minutes: float = np.inf,
+           say: Callable[[str], None] = lambda line: None) -> None:
     """Try specifications until the stages are through; what was found stands in `trial.outcomes`."""
+    allowed = FAMILIES[family]
+
     def stage(name: str, specifications: Iterable[Specification]) -> None:
-        chosen = [each for each in dict.fromkeys(specifications) if each not in trial.outcomes]
+        chosen = [each for each in dict.fromkeys(specifications) if each not in trial.outcomes and allowed(each)]
         for each in sorted(chosen, key=lambda each: str(each.regression)):
+            if trial.cpu > 60.0 * minutes:
+                trial.left_out += 1
+                continue
             trial(each)
         best = trial.best(1)
         if best:
@@ -41,7 +56,7 @@ def search(trial: Trial, *, decays: bool, say: Callable[[str], None] = lambda li
     stage("decays", (replace(each, decays=not each.decays) for each in _charts(trial, 2) if decays))
 
 
-_FEATURES = (("linear", 0), ("bilinear", 0), ("leading_bilinear", 0), ("quadratic", 0), ("configuration_affine", 0),
+_FEATURES = (("linear", 0), ("quadratic_map", 0), ("bilinear", 0), ("leading_bilinear", 0), ("quadratic", 0), ("configuration_affine", 0),
              ("configuration_affine", 3), ("leading_cubic", 0), ("cubic", 0), ("cubic", 3), ("full_quadratic", 0))
 
 
@@ -49,7 +64,7 @@ def _first(names: list[str], decays: bool) -> Iterable[Specification]:
     for name in names:
         for delays in (1, 2, 4, 8):
             for steps in sorted({1, delays}):
-                for features, leading, ridge in (*FIRST, ("linear", 0, 1e-4)):
+                for features, leading, ridge in (*FIRST, ("linear", 0, 1e-4), ("quadratic_map", 0, 1e-4)):
                     yield Specification(name, "delay", delays=delays, memory=("shift", steps), features=features,
                                         leading=leading, ridge=ridge)
         for states in (8, 14, 20):

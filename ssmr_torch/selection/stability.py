@@ -5,24 +5,24 @@ from __future__ import annotations
 import numpy as np
 
 from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.selection.rollouts import rolled_out
 from ssmr_torch.selection.samples import Samples, Starts
-from ssmr_torch.selection.trial import rolled_out
 
 FARTHEST = 3.0    # times the largest training output that a rollout may reach
-STRONGER, FASTER = 1.25, 2
+STRONGER, FASTER = (1.0, 1.5), (1, 2)
 SLOWEST = 1.0     # largest modulus of the eigenvalues at rest: what does not decay there would grow for ever
 
 
 def stays_bounded(model: PolynomialModel, samples: Samples) -> bool:
     """Whether no rollout over a whole training run leaves `FARTHEST` times the range, with the inputs as recorded, twice
-    as fast and a quarter stronger, and what the model does at rest decays.
+    as fast, half as strong again, and both; and what the model does at rest decays.
     """
     if not np.abs(np.linalg.eigvals(model.linear_part)).max() < SLOWEST:
         return False
     limit = FARTHEST * np.abs(np.concatenate([y for y, _ in samples.controlled])).max()
     for y, u in samples.controlled:
         past = samples.past
-        for inputs in (u[past:], u[past::FASTER], STRONGER * u[past:]):
+        for inputs in (factor * u[past::speed] for factor in STRONGER for speed in FASTER):
             start = Starts(y[None, :past + 1], u[None, :past], np.ascontiguousarray(inputs)[None], y[None, :0])
             if not np.abs(rolled_out(model, start)).max(initial=0.0) < limit:
                 return False

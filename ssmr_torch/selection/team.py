@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -131,12 +131,11 @@ def _table(variables: int, rows: int, entries: dict[tuple, list]) -> tuple[Monom
     return Monomials(variables, entries), table
 
 
-def stable_pool(trial: Trial, ranked: Sequence[Specification], stable: Callable[[PolynomialModel], bool],
-                count: int) -> tuple[list[Specification], list[Specification]]:
-    """The first `count` of the ranked whose model of all the data is stable, and those that were refused on the way."""
+def stable_pool(trial: Trial, ranked: Sequence[Specification], count: int) -> tuple[list, list]:
+    """The first `count` of the ranked whose model of all the data stays bounded, and those refused on the way."""
     kept, refused = [], []
     for each in ranked:
         if len(kept) == count:
             break
-        (kept if stable(trial.fitted(trial.closed_form(each), each, FOLDS)) else refused).append(each)
+        (kept if trial.bounded(each) else refused).append(each)
     return kept, refused

@@ -1,7 +1,8 @@
-"""How a specification does on what the folds hold out, and how far its fits differ at double speed.
+"""How a specification does on what the folds hold out, and how far its fits differ beyond the recordings.
 
     e_h: geometric mean over held-out starts of the rms error up to horizon h
-    v_h: the same of the deviation of the folds' fits from their mean, over training starts replayed at double speed
+    v_h: the same of the deviation of the folds' fits from their mean, over training starts replayed twice as fast and a
+         quarter stronger
     score: mean over h of ½ log(e_h² + v_h²)
 
 e says what is wrong, v what the data do not determine; both in units of persistence's error.
@@ -15,11 +16,13 @@ from time import process_time
 
 import numpy as np
 
-from ssmr_torch.models.batch_rollout import batch_of
 from ssmr_torch.models.polynomial import PolynomialModel
-from ssmr_torch.selection.candidate import ClosedForm
+from ssmr_torch.selection.candidate import ALL, ClosedForm
+from ssmr_torch.selection.refinement import LARGEST, Problem, refine
+from ssmr_torch.selection.rollouts import rolled_out
 from ssmr_torch.selection.samples import FOLDS, Samples, Starts
 from ssmr_torch.selection.specification import Specification
+from ssmr_torch.selection.stability import stays_bounded
 
 FAR = 50.0        # times the outputs' size: what a diverged rollout counts
 FLOOR = 1e-9      # of the outputs' size
@@ -49,6 +52,9 @@ class Trial:
         self.fast = samples.hurried()
         self.outcomes: dict[Specification, Outcome] = {}
         self._closed: tuple[tuple, ClosedForm] | None = None
+        self._finals: dict[Specification, PolynomialModel] = {}
+        self._training: dict[int, Starts] = {}
+        self.left_out = 0
         still = [(starts.window[:, -1:, samples.targets] - starts.follows[:, :, samples.targets]) / samples.scale
                  for starts in self.held_out if len(starts)]
         self.persistence = self._errors([np.square(each).sum(-1) for each in still])
@@ -78,8 +84,31 @@ class Trial:
         return self._closed[1]
 
     def fitted(self, closed: ClosedForm, specification: Specification, fold: int) -> PolynomialModel:
-        """The model of what a fold leaves, or of all."""
-        return closed.model(specification.ridge, fold)
+        """The model of what a fold leaves, or of all, with what refines it."""
+        model = closed.model(specification.ridge, fold)
+        if specification.pull:
+            model = refine(self._problem(closed, model, fold), specification.pull)
+        return model
+
+    def final(self, specification: Specification) -> PolynomialModel:
+        """The model of all the data."""
+        if specification not in self._finals:
+            self._finals[specification] = self.fitted(self.closed_form(specification), specification, ALL)
+        return self._finals[specification]
+
+    def bounded(self, specification: Specification) -> bool:
+        """Whether the model of all the data stays near what was measured, see `stays_bounded`."""
+        return stays_bounded(self.final(specification), self.samples)
+
+    def refinable(self, specification: Specification) -> bool:
+        """Whether Gauss-Newton steps on it take seconds at most."""
+        closed = self.closed_form(specification)
+        return self._problem(closed, closed.model(specification.ridge), ALL).work < LARGEST
+
+    def _problem(self, closed: ClosedForm, model: PolynomialModel, fold: int) -> Problem:
+        if fold not in self._training:
+            self._training[fold] = self.samples.training(fold)
+        return Problem(model, closed.charts[fold].E, self._training[fold], self.samples.targets)
 
     def predicted(self, model: PolynomialModel, starts: Starts) -> np.ndarray:
         """Targets along the horizon, scaled, (N, H, targets); what diverged is far away."""
@@ -109,12 +138,3 @@ class Trial:
         """The specifications of lowest score that `keep` likes."""
         order = sorted(self.outcomes, key=lambda specification: self.outcomes[specification].score)
         return [each for each in order if np.isfinite(self.outcomes[each].score) and keep(each)][:count]
-
-
-def rolled_out(model: PolynomialModel, starts: Starts) -> np.ndarray:
-    """Outputs along the horizon, m, (N, H, p), infinite from where a rollout diverged."""
-    delays = model.delays
-    window = starts.window[:, starts.window.shape[1] - delays - 1:]
-    past = starts.past[:, starts.past.shape[1] - delays:]
-    with np.errstate(over="ignore", invalid="ignore"):
-        return batch_of(model).outputs(model.encode(window, past), starts.inputs)

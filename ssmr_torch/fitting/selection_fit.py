@@ -1,0 +1,80 @@
+"""A slow-fast model chosen from the data, as a fit of Lightning's: one epoch, in which the selection runs."""
+
+from __future__ import annotations
+
+import torch
+from tqdm import tqdm
+
+from ssmr_torch.data.windows import Segment
+from ssmr_torch.fitting.exact import ExactSolve
+from ssmr_torch.fitting.fit import ModelFit
+from ssmr_torch.keywords import configurable
+from ssmr_torch.models.slow_fast import SlowFast
+from ssmr_torch.selection.choice import Choice, choose
+from ssmr_torch.selection.settings import SelectionSettings
+
+
+class SelectionFit(ModelFit):
+    """Chooses the form of a `SlowFast` model from the training runs, fits it and reports why; see `choose`.
+
+    settings: `SelectionSettings`, which says what each is; changes: some of them by name, in their place. progress:
+    whether a line shows which stage the selection is in.
+    choice: what was found, None before. remarks: its sentences, for the report.
+    Raises ValueError for outputs that the data do not have, or data without controlled runs, before any work.
+    """
+
+    epochs = 1
+
+    @configurable(SelectionSettings, given=("settings",))
+    def __init__(self, model: SlowFast, settings: SelectionSettings | None = None, *, progress: bool = True, **changes):
+        super().__init__(model)
+        if not isinstance(model, SlowFast):
+            raise ValueError(f"the selection makes a SlowFast model, not a {type(model).__name__}; choose model=auto")
+        settings = (SelectionSettings() if settings is None else settings).changed(**changes)
+        self.__dict__["settings"], self.progress = settings, bool(progress)
+        self.procedure = _WholeRuns()
+        self.automatic_optimization = False
+        self.choice: Choice | None = None
+        self.remarks: list[str] = []
+        self.facts: dict = {}
+
+    def configure_optimizers(self) -> ExactSolve:
+        return ExactSolve(self.model.parameters())
+
+    def on_train_start(self) -> None:
+        if self.trainer.world_size > 1:
+            raise ValueError(f"{self.trainer.world_size} processes; a selection runs in one (trainer.devices=1)")
+
+    @torch.no_grad()
+    def training_step(self, segment: Segment, index: int) -> None:
+        if not self.trainer.is_last_batch:
+            return
+        runs = [run.read() for run in self.trainer.datamodule.training]
+        names = self.card["output_names"]
+        scored = self.settings.scored
+        strange = [name for name in scored or () if name not in names]
+        if strange:
+            raise ValueError(f"scored names {strange}, which are no outputs; there are {names}")
+        decays, controlled = ([(run.observation, run.input) for run in runs if (run.kind == "decay") == decay]
+                              for decay in (True, False))
+        if not controlled:
+            raise ValueError("no controlled runs to learn from; record some, under inputs like those of the use")
+        with tqdm(disable=not self.progress, bar_format="{desc} [{elapsed}]", leave=False, delay=2.0) as line:
+            self.choice = choose(decays, controlled, self.model.timestep, self.settings,
+                                 scored=None if scored is None else [names.index(name) for name in scored],
+                                 say=lambda stage: line.set_description_str(f"selection: {stage}"[:110]))
+        self.model.take(self.choice.model)
+        self.remarks, self.facts = self.choice.sentences, self.choice.facts
+        self.log_dict({"fit/tried": float(self.facts["tried"]), "fit/members": float(len(self.facts["members"]))})
+        self.optimizers().step()
+
+    def on_load_checkpoint(self, checkpoint: dict) -> None:
+        again = SlowFast(**checkpoint["model"]["arguments"])
+        with torch.no_grad():
+            self.model.take(again.reduced.numpy())
+
+
+class _WholeRuns:
+    """What a data module must know of a procedure that looks at whole runs."""
+
+    before = after = 0

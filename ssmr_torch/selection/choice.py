@@ -1,0 +1,114 @@
+"""One model chosen from the data: output coordinates, slow coordinates, features, memory, ridge, refinement, team."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ssmr_torch.lazy import found
+from ssmr_torch.models.output_coordinates import OutputCoordinates
+from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.selection.coordinates import offered
+from ssmr_torch.selection.noise import measured_noise, recharted
+from ssmr_torch.selection.refinement import refined
+from ssmr_torch.selection.report import facts, sentences
+from ssmr_torch.selection.samples import Samples
+from ssmr_torch.selection.search import search
+from ssmr_torch.selection.settings import SelectionSettings
+from ssmr_torch.selection.specification import Specification
+from ssmr_torch.selection.symmetry import with_symmetry
+from ssmr_torch.selection.team import averaged, choose_team, merged, stable_pool
+from ssmr_torch.selection.trial import Outcome, Trial
+
+POOL = 12      # of the best stable specifications, from which a team is chosen
+TRIED = 60     # of the best that are looked at for stability
+ROUND_TRIP = 1e-6  # of the outputs' size, by which χ⁻¹(χ(y)) may miss y
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """model; team: its members' specifications, best first; outcome: of the team; tried: specifications and scores.
+
+    sentences: what was chosen, by which numbers, and what the data did not allow to decide. facts: the same as plain
+    values.
+    """
+
+    model: PolynomialModel
+    team: list[Specification]
+    outcome: Outcome
+    sentences: list[str] = field(default_factory=list)
+    facts: dict = field(default_factory=dict)
+
+
+def choose(decays: Sequence, controlled: Sequence, timestep: float, settings: SelectionSettings | None = None, *,
+           scored: Sequence[int] | None = None, say: Callable[[str], None] = lambda line: None) -> Choice:
+    """Choose and fit a model from training runs alone, lists of (y (T, p) m, u (T, m)), sampled every `timestep` s.
+
+    scored: columns of y that are to be predicted best; None: all. say: is told of every stage.
+    Raises ValueError where the runs are too short, or nothing that was tried stays bounded.
+    """
+    settings = SelectionSettings() if settings is None else settings
+    y = np.concatenate([run[0] for run in (*decays, *controlled)])
+    coordinates = _coordinates(y, settings.coordinates)
+    targets = range(y.shape[1]) if scored is None else scored
+    runs = with_symmetry(controlled, settings.symmetry == "find")
+    samples = Samples(decays, runs.controlled, timestep, coordinates=coordinates, targets=targets)
+    noise = measured_noise([run[0] for run in (decays or controlled)])
+    horizons = range(len(samples.horizons))[1:] if settings.purpose == "control" else None
+    trial = Trial(samples, horizons=horizons or None, noise=max(noise, settings.noise))
+    search(trial, decays=bool(decays), family=settings.family, minutes=settings.minutes, say=say)
+    pool, refused = stable_pool(trial, trial.best(TRIED), POOL)
+    if not pool:
+        raise ValueError(f"none of the {len(trial.outcomes)} models that were tried stays within three times the "
+                         f"measured range ({len(refused)} looked at); record longer runs, more slowly or less far, and "
+                         "look at ssmr check")
+    if settings.refine:
+        pool = refined(trial, pool, say=say)
+    single = settings.purpose == "control" or settings.family != "slow_fast"
+    team = choose_team(trial, pool, 1 if single else settings.team)
+    members = [trial.final(each) for each in team]
+    model = merged(members)
+    if settings.noise > noise:
+        model = recharted(model, samples, settings.noise, noise)
+    outcome = averaged(trial, team)
+    found_out = facts(trial, team, outcome, pool=pool, refused=refused, noise=noise, symmetry=runs.found,
+                      settings=settings)
+    return Choice(model, team, outcome, sentences(found_out), found_out)
+
+
+def _coordinates(y: np.ndarray, names: Sequence[str] | None) -> dict[str, OutputCoordinates | None]:
+    """Output coordinates by name. Raises ValueError for one that the data do not suggest, or that has no inverse."""
+    suggested = offered(y)
+    if names is None:
+        return suggested
+    chosen = {}
+    for name in names:
+        if name in suggested:
+            chosen[name] = suggested[name]
+        elif ":" in name:
+            chosen[name] = _own(name, y)
+        else:
+            raise ValueError(f"output coordinates {name!r}: the data suggest {list(suggested)}; give one of them, or "
+                             '"module:Class" of your own')
+    return chosen
+
+
+def _own(name: str, y: np.ndarray) -> OutputCoordinates:
+    family = found(name)
+    if not (isinstance(family, type) and issubclass(family, OutputCoordinates)):
+        raise ValueError(f"{name} is no class of output coordinates; derive it from "
+                         "ssmr_torch.models.output_coordinates.OutputCoordinates")
+    chi = family()
+    with np.errstate(all="ignore"):
+        back = chi.inverse(chi.forward(y))
+        missed = np.abs(back - y).max() if back.shape == y.shape else np.inf
+    size = np.abs(y).max()
+    if not missed <= ROUND_TRIP * size:
+        raise ValueError(f"{name} is not invertible on the recordings: χ⁻¹(χ(y)) misses y by up to {1e3 * missed:.3g} "
+                         f"mm, more than {ROUND_TRIP:g} of their {1e3 * size:.3g} mm; correct inverse, or choose "
+                         "coordinates that are one to one over the whole range")
+    if not np.allclose(chi.forward(np.zeros((1, y.shape[1]))), 0.0, atol=ROUND_TRIP * size):
+        raise ValueError(f"{name} does not map rest to rest, χ(0) ≠ 0; subtract χ(0)")
+    return chi

@@ -1,0 +1,53 @@
+"""What a user may say of a selection; everything has a default that needs no search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ssmr_torch.settings import Settings, non_negative, whole
+
+PURPOSES = ("prediction", "control")
+
+
+@dataclass(frozen=True)
+class SelectionSettings(Settings):
+    """Settings of the selection of a slow-fast model; `changed(name=value)` gives others.
+
+    purpose: "prediction" judges by 50 ms, 200 ms and 1 s and may average several models; "control" by 200 ms and 1 s,
+        what a horizon and a task see, and takes one model, whose step is cheap.
+    scored: names of the outputs that are to be predicted best; None: all.
+    noise: m, standard deviation of the measurement noise that the model will see in use; the chart is then regressed
+        on windows with that noise. 0: the noise of the recordings.
+    coordinates: names of output coordinates to choose from, "identity" and "constant_curvature", or "module:Class" of
+        your own; None: all that the data suggest.
+    family: "slow_fast"; or "dmd", "edmd_bilinear", "edmd_relift": only such models, chosen by the same rule.
+    team: most models that are averaged; 1 for control.
+    refine: whether the best are refined by Gauss-Newton steps on rollouts.
+    symmetry: "find" a rotation of the outputs with a permutation of the inputs in the data and use it, or "none".
+    minutes: CPU minutes after which no further specification is tried.
+
+    Raises ValueError for a value that makes no sense.
+    """
+
+    purpose: str = "prediction"
+    scored: tuple[str, ...] | None = None
+    noise: float = 0.0
+    coordinates: tuple[str, ...] | None = None
+    family: str = "slow_fast"
+    team: int = 4
+    refine: bool = True
+    symmetry: str = "find"
+    minutes: float = 2.0
+
+    def __post_init__(self):
+        from ssmr_torch.selection.search import FAMILIES
+
+        for name, options in (("purpose", PURPOSES), ("family", tuple(FAMILIES)), ("symmetry", ("find", "none"))):
+            if getattr(self, name) not in options:
+                raise ValueError(f"{name} is {getattr(self, name)!r}; expected one of {options}")
+        for name in ("scored", "coordinates"):
+            value = getattr(self, name)
+            self._set(name, None if value is None else (value,) if isinstance(value, str) else tuple(value))
+        self._set("noise", non_negative("noise", self.noise, "m"))
+        self._set("minutes", non_negative("minutes", self.minutes, "min"))
+        self._set("team", whole("team", self.team, least=1))
