@@ -21,7 +21,7 @@ HOMES = {
               "evaluation/delay_study.py"],
     "lightning": ["data/datamodule.py", "fitting/*"],
     "sklearn": ["fitting/statistics.py"],
-    "numba": ["control/*", "plants/finite_element/compiled.py", "plants/slow_manifold.py"],
+    "numba": ["control/*", "models/batch_kernel.py", "plants/finite_element/compiled.py", "plants/slow_manifold.py"],
     "proxsuite": ["control/solvers/proxqp.py"], "daqp": ["control/solvers/daqp.py"],
     "qpsolvers": ["control/any_qp.py"],
     "safetensors": ["artifact.py"],

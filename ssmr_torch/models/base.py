@@ -52,14 +52,16 @@ class Model(DataSheet, ABC):
     delays n_d: a window is the n_d + 1 newest samples, oldest first, `window_timestep` s apart, (..., n_d + 1, p),
     with the n_d inputs held between them (..., n_d, m). timestep: length of one `step` in s. Everything is SI.
 
-    c_source, compiled: "module:function" that writes this family in C, or gives a compiled horizon of it; None: it has
-    no C form, and a controller goes through `linearize`.
+    c_source, compiled, batched: "module:function" that writes this family in C, gives a compiled horizon of it, or
+    many rollouts of it at once, compiled, a `BatchRollout`; None: it has no C form, a controller goes through
+    `linearize`, and many rollouts are those of `rollout`.
 
     Raises ValueError for sizes that are no positive whole numbers, or times that are not positive and finite.
     """
 
     c_source: ClassVar[str | None] = None
     compiled: ClassVar[str | None] = None
+    batched: ClassVar[str | None] = None
 
     state_scale: Array
     input_dim: int
@@ -198,24 +200,34 @@ class Model(DataSheet, ABC):
             found.append(self.step(found[-1], inputs[..., k, :]))
         return namespace(z).stack(found, -2)
 
-    def rollout(self, z: Array, inputs: Array) -> Rollout:
-        """`states`, and where they diverged: at the first step whose norm exceeds `DIVERGENCE_FACTOR` ‖state_scale‖.
+    def rollout(self, z: Array, inputs: Array, *, lengths: Array | None = None, bound: float | None = None) -> Rollout:
+        """`states`, and where they diverged: at the first step whose norm exceeds `bound`.
 
-        A diverged rollout is frozen at its last state inside the bound, so that it stays finite.
+        A diverged rollout is frozen at its last state inside the bound, so that it stays finite. bound: None for
+        `DIVERGENCE_FACTOR` ‖state_scale‖. lengths (...): steps after which a rollout ends, and is frozen as well, with
+        diverged_at its length + 1; None for the whole horizon H. Many at once are faster by `batch_rollout.batch_of`.
         """
         xp, horizon = namespace(z), inputs.shape[-2]
-        bound = DIVERGENCE_FACTOR * _norm(xp, self.state_scale)
+        if bound is None:
+            bound = self.divergence_bound
         found, steps = [z], xp.zeros_like(z[..., 0])
         inside = xp.ones_like(z[..., 0]) > 0
         with np.errstate(over="ignore", invalid="ignore") if xp is np else nullcontext():
             for k in range(horizon):
                 following = self.step(z, inputs[..., k, :])
                 inside = inside & (_norm(xp, following) <= bound)
+                if lengths is not None:
+                    inside = inside & (lengths > k)
                 steps = steps + inside
                 z = xp.where(inside[..., None], following, z)
                 found.append(z)
         whole = (steps + 1.0).astype(np.int64) if xp is np else (steps + 1.0).long()
         return Rollout(xp.stack(found, -2), whole)
+
+    @property
+    def divergence_bound(self) -> Array:
+        """‖z‖ beyond which a rollout has diverged, `DIVERGENCE_FACTOR` ‖state_scale‖."""
+        return DIVERGENCE_FACTOR * _norm(namespace(self.state_scale), self.state_scale)
 
 
 def check_sizes(state_dim: int, input_dim: int, output_dim: int, delays: int, timestep: float,

@@ -32,6 +32,7 @@ class PolynomialModel(Model):
 
     c_source: ClassVar[str] = "ssmr_torch.deployment.c_polynomial:polynomial"
     compiled: ClassVar[str] = "ssmr_torch.control.kernel:compiled_polynomial"
+    batched: ClassVar[str] = "ssmr_torch.models.batch_kernel:CompiledBatch"
 
     structure: Structure
     chart: Array

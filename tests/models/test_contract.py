@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from ssmr_torch import artifact
+from ssmr_torch.models.batch_rollout import BatchRollout, batch_of
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
 from ssmr_torch.models.koopman import Koopman
@@ -208,6 +209,24 @@ def test_a_diverging_rollout_is_reported_and_stays_finite(model, batch):
     states, diverged_at = model.rollout(start, inputs)
     assert diverged_at[0] == 1 and (diverged_at[1:] == 6).all()
     assert states.isfinite().all()
+
+
+def test_a_batch_rolls_out_as_its_members_do_and_diverges_where_they_do(model, batch):
+    z, u = (part.numpy() for part in batch)
+    reduced, rng = model.reduced.numpy(), np.random.default_rng(3)
+    inputs, lengths = 0.5 * rng.random((7, 12, model.input_dim)), np.array([12, 3, 0, 12, 7, 1, 12])
+    bound = (1 + 1e-6) * np.median(np.linalg.norm(reduced.rollout(z, inputs).states[:, 6:], axis=-1))
+    for options in ({}, {"lengths": lengths}, {"bound": bound}, {"lengths": lengths, "bound": bound}):
+        reference, compiled = BatchRollout(model), batch_of(model)
+        expected, found = reduced.rollout(z, inputs, **options), compiled.rollout(z, inputs, **options)
+        np.testing.assert_array_equal(found.diverged_at, expected.diverged_at)
+        np.testing.assert_allclose(found.states, expected.states, rtol=1e-12, atol=1e-13)
+        within = np.arange(12) < options.get("lengths", np.full(7, 12))[:, None]
+        np.testing.assert_allclose(compiled.outputs(z, inputs, **options)[within],
+                                   reference.outputs(z, inputs, **options)[within], rtol=1e-11, atol=1e-13)
+        np.testing.assert_array_equal(compiled.diverged(z, inputs, **options),
+                                      reference.diverged(z, inputs, **options))
+    assert compiled.diverged(z, inputs, bound=bound).any()
 
 
 def test_the_state_dict_and_the_arguments_rebuild_the_model(model, batch):

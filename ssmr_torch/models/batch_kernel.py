@@ -1,0 +1,280 @@
+"""The compiled batch of a polynomial model: many starts side by side, a vector instruction for several of them.
+
+What belongs to one start is a lane, the last index of every array here: a monomial of all of them is one product of two
+rows, and a table times monomials is a product of matrices. A row of a table with few entries, as those of a shift
+register, is summed up by its entries alone.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from ssmr_torch.models.batch_rollout import BatchRollout
+from ssmr_torch.models.monomials import Form, Monomials
+from ssmr_torch.models.split import output_table, products
+from ssmr_torch.models.structure import SCHEMES
+
+RUNGE_KUTTA, EULER = SCHEMES.index("runge_kutta"), SCHEMES.index("euler")
+LANES = 64         # starts in a block: the monomials of so many stay in the cache
+VECTOR = 8         # lanes are a multiple of it
+ROWS, COLUMNS = 2, 4   # of a full table that are multiplied at a time
+SPARSE = 3         # an entry that is summed up alone takes as long as so many of a full table
+
+# Sums may be reordered, but NaN and infinity must keep their meaning: they say that a rollout diverged.
+compiled = njit(cache=True, fastmath={"reassoc", "contract"})
+
+
+class FormTables(NamedTuple):
+    """A form as the kernel reads it. products (2, ·): entry 1 + variables + i of the closure is entry products[0, i]
+    times variable products[1, i]. full (R, C): the table's rows full_rows at the entries full_columns of the closure,
+    with zeros up to whole multiples of what is multiplied at a time; the row after the last takes what they give.
+    sparse_rows (S,): the others; entries sparse_first[i] to sparse_first[i + 1] of sparse_columns and sparse_values.
+    """
+
+    products: np.ndarray
+    full: np.ndarray
+    full_rows: np.ndarray
+    full_columns: np.ndarray
+    sparse_rows: np.ndarray
+    sparse_first: np.ndarray
+    sparse_columns: np.ndarray
+    sparse_values: np.ndarray
+
+
+class CompiledBatch(BatchRollout):
+    """Of a `PolynomialModel`, compiled: equal to `Model.rollout` but for the order of the sums."""
+
+    def __init__(self, model):
+        super().__init__(model)
+        structure = self.model.structure
+        lifted = structure.chart if structure.relift else Monomials(1, [])
+        count = 4 * self.model.substeps if self.model.flow else self.model.repeats
+        length = self.model.timestep / self.model.substeps if self.model.flow else self.model.base_timestep
+        edge = np.array(self.model.edge if structure.saturated else (), dtype=np.float64)
+        linear = np.ascontiguousarray(self.model.linear_part) if structure.saturated else np.zeros((0, 0))
+        self._tables = (form_tables(self.model.dynamics_form), form_tables(self.model.output_form), _products(lifted),
+                        _index(lifted.positions), linear, edge, len(self.model.dynamics),
+                        SCHEMES.index(structure.scheme), float(length), count)
+
+    def _run(self, z, inputs, lengths, bound, states, outputs):
+        N, H, _ = inputs.shape
+        found = np.empty((N if states else 0, H + 1, z.shape[1]))
+        seen = np.empty((N if outputs else 0, H, self.model.output_dim))
+        diverged_at = np.empty(N, dtype=np.int64)
+        _roll(*(np.ascontiguousarray(each, dtype=np.float64) for each in (z, inputs)),
+              np.ascontiguousarray(lengths, dtype=np.int64), float(bound), self._tables, found, seen, diverged_at)
+        return found, seen, diverged_at
+
+
+def form_tables(form: Form) -> FormTables:
+    """The tables of a form with a NumPy table."""
+    table, entries = output_table(form, form.monomials), np.flatnonzero
+    used = np.count_nonzero(table.any(0))
+    few = np.count_nonzero(table, axis=1) * SPARSE < used
+    columns = entries(table[~few].any(0))
+    rows = entries(~few)
+    full = np.zeros((_padded(len(rows), ROWS), _padded(len(columns), COLUMNS)))
+    full[:len(rows), :len(columns)] = table[np.ix_(rows, columns)]
+    chosen, places = np.nonzero(table[few])
+    first = np.concatenate([[0], np.cumsum(np.count_nonzero(table[few], axis=1))])
+    return FormTables(_products(form.monomials), full, _index(rows, len(full), len(table)),
+                      _index(columns, full.shape[1], 0), _index(entries(few)), _index(first), _index(places),
+                      np.ascontiguousarray(table[few][chosen, places]))
+
+
+def _products(monomials: Monomials) -> np.ndarray:
+    return _index(np.stack(products(monomials)))
+
+
+def _padded(size: int, multiple: int) -> int:
+    return -(-size // multiple) * multiple
+
+
+def _index(values: np.ndarray, size: int | None = None, filling: int = 0) -> np.ndarray:
+    """Unsigned indices, which index faster, up to this size."""
+    found = np.ascontiguousarray(values, dtype=np.uint32)
+    return found if size is None else np.concatenate([found, np.full(size - len(found), filling, dtype=np.uint32)])
+
+
+@compiled
+def _copy(x, out, rows):
+    """The first rows of out = those of x."""
+    for i in range(rows):
+        for lane in range(x.shape[1]):
+            out[i, lane] = x[i, lane]
+
+
+@compiled
+def _multiply_out(products, variables, closure):
+    """The closure from its constant and its first `variables` entries."""
+    for i in range(products.shape[1]):
+        a, b, out = closure[products[0, i]], closure[1 + products[1, i]], closure[1 + variables + i]
+        for lane in range(len(out)):
+            out[lane] = a[lane] * b[lane]
+
+
+@compiled
+def _apply(form, closure, out):
+    """out = table · closure."""
+    _, full, full_rows, full_columns, sparse_rows, sparse_first, sparse_columns, sparse_values = form
+    lanes = closure.shape[1]
+    for i in range(0, len(full_rows), 2):
+        a, b = out[full_rows[i]], out[full_rows[i + 1]]
+        for lane in range(lanes):
+            a[lane], b[lane] = 0.0, 0.0
+        for q in range(0, len(full_columns), 4):
+            w, x = closure[full_columns[q]], closure[full_columns[q + 1]]
+            y, z = closure[full_columns[q + 2]], closure[full_columns[q + 3]]
+            a0, a1, a2, a3 = full[i, q], full[i, q + 1], full[i, q + 2], full[i, q + 3]
+            b0, b1, b2, b3 = full[i + 1, q], full[i + 1, q + 1], full[i + 1, q + 2], full[i + 1, q + 3]
+            for lane in range(lanes):
+                a[lane] += a0 * w[lane] + a1 * x[lane] + a2 * y[lane] + a3 * z[lane]
+                b[lane] += b0 * w[lane] + b1 * x[lane] + b2 * y[lane] + b3 * z[lane]
+    for i in range(len(sparse_rows)):
+        a = out[sparse_rows[i]]
+        for lane in range(lanes):
+            a[lane] = 0.0
+        for e in range(sparse_first[i], sparse_first[i + 1]):
+            w, a0 = closure[sparse_columns[e]], sparse_values[e]
+            for lane in range(lanes):
+                a[lane] += a0 * w[lane]
+
+
+@compiled
+def _saturate(edge, z, closure):
+    """The first entries of the closure, s(z); see `models.saturation`."""
+    for i in range(len(z)):
+        x, out = z[i], closure[1 + i]
+        for lane in range(len(x)):
+            over = abs(x[lane]) / edge[i] - 1.0
+            out[lane] = x[lane] * (1.0 + 0.5 * np.tanh(2.0 * over)) / (1.0 + over) if over > 0.0 else x[lane]
+
+
+@compiled
+def _keep_linear(linear, z, closure, k):
+    """k, of s(z), becomes that with what is linear in z as it is."""
+    for j in range(len(z)):
+        x, within = z[j], closure[1 + j]
+        for lane in range(len(x)):
+            beyond = x[lane] - within[lane]
+            if beyond != 0.0:
+                for i in range(len(z)):
+                    k[i, lane] += linear[i, j] * beyond
+
+
+@compiled
+def _stepped(x, k, start, total, scheme, stage, h):
+    """x after one evaluation k of the dynamics: the next stage, x + h k of an Euler step, or k of a map."""
+    share, reach = 1.0 if stage % 3 == 0 else 2.0, h if stage == 2 else 0.5 * h
+    for i in range(len(x)):
+        z, f, z0, sum_ = x[i], k[i], start[i], total[i]
+        for lane in range(len(z)):
+            if scheme == RUNGE_KUTTA:
+                if stage == 0:
+                    z0[lane], sum_[lane] = z[lane], 0.0
+                sum_[lane] += share * f[lane]
+                z[lane] = z0[lane] + (reach * f[lane] if stage < 3 else h / 6.0 * sum_[lane])
+            elif scheme == EULER:
+                z[lane] += h * f[lane]
+            else:
+                z[lane] = f[lane]
+
+
+@compiled
+def _advance(x, inputs, tables, work):
+    """x (n, lanes) one timestep later with the inputs (lanes, m) held."""
+    dynamics, _, lifting, positions, linear, edge, _, scheme, h, count = tables
+    closure, lifted, k, start, total = work
+    n, m, rates = len(x), inputs.shape[1], len(k) - 1
+    for lane in range(len(inputs)):
+        for j in range(m):
+            closure[1 + n + j, lane] = inputs[lane, j]
+    for application in range(count):
+        if len(edge):
+            _saturate(edge, x, closure)
+        else:
+            _copy(x, closure[1:], n)
+        _multiply_out(dynamics[0], n + m, closure)
+        _apply(dynamics, closure, k)
+        if len(edge):
+            _keep_linear(linear, x, closure, k)
+        if len(positions):
+            _copy(k, lifted[1:], rates)
+            _multiply_out(lifting, rates, lifted)
+            for i in range(n):
+                _copy(lifted[positions[i]:], x[i:], 1)
+        else:
+            _stepped(x, k, start, total, scheme, application % 4, h)
+
+
+@compiled
+def _begin(states, x):
+    """x (n, lanes) = states (·, n), and zero in the lanes beyond them."""
+    for i in range(len(x)):
+        for lane in range(x.shape[1]):
+            x[i, lane] = states[lane, i] if lane < len(states) else 0.0
+
+
+@compiled
+def _accept(x, z, bound, k, lengths, inside, diverged_at):
+    """z = x where it is inside the bound and was before; how many lanes go on, of step k."""
+    running = 0
+    for lane in range(len(inside)):
+        if not inside[lane] or k >= lengths[lane]:
+            continue
+        square = 0.0
+        for i in range(len(x)):
+            square += x[i, lane] * x[i, lane]
+        if np.sqrt(square) <= bound:
+            diverged_at[lane] += 1
+            running += 1
+            for i in range(len(x)):
+                z[i, lane] = x[i, lane]
+        else:
+            inside[lane] = False
+    return running
+
+
+@compiled
+def _decode(output, z, seen, y, inside, outputs):
+    """outputs (lanes, p) of z, infinite in the lanes that have diverged."""
+    _copy(z, seen[1:], len(z))
+    _multiply_out(output[0], len(z), seen)
+    _apply(output, seen, y)
+    for lane in range(len(outputs)):
+        for i in range(outputs.shape[1]):
+            outputs[lane, i] = y[i, lane] if inside[lane] else np.inf
+
+
+@compiled
+def _roll(first_states, inputs, lengths, bound, tables, states, outputs, diverged_at):
+    """All rollouts, by blocks of lanes; states and outputs are filled where they have rows."""
+    dynamics, output, lifting, rates = tables[0], tables[1], tables[2], tables[6]
+    (N, H, m), n, p = inputs.shape, first_states.shape[1], outputs.shape[2]
+    lanes = min(LANES, max(-(-N // VECTOR), 1) * VECTOR)
+    z, x, inside = np.empty((n, lanes)), np.empty((n, lanes)), np.empty(lanes, dtype=np.bool_)
+    work = (np.ones((1 + n + m + dynamics[0].shape[1], lanes)), np.ones((1 + rates + lifting.shape[1], lanes)),
+            np.zeros((rates + 1, lanes)), np.zeros((n, lanes)), np.zeros((n, lanes)))
+    seen, y = np.ones((1 + n + output[0].shape[1], lanes)), np.zeros((p + 1, lanes))
+    for first in range(0, N, lanes):
+        here = slice(first, min(first + lanes, N))
+        count = here.stop - here.start
+        _begin(first_states[here], z)
+        diverged_at[here], inside[:] = 1, True
+        running = count
+        for k in range(H):
+            if running:
+                _copy(z, x, n)
+                _advance(x, inputs[here, k], tables, work)
+                running = _accept(x, z, bound, k, lengths[here], inside[:count], diverged_at[here])
+            if len(outputs):
+                _decode(output, z, seen, y, inside, outputs[here, k])
+            if len(states):
+                for lane in range(count):
+                    for i in range(n):
+                        states[first + lane, k + 1, i] = z[i, lane]
+    if len(states):
+        states[:, 0] = first_states
