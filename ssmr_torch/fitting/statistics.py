@@ -60,8 +60,9 @@ class Solution:
 class StreamedRegression:
     """targets ≈ C · features over any number of batches, kept apart by fold for cross-validation.
 
-    accumulate(features (N, k), targets (N, q), fold); `folds` maps fold → Factor of [features | targets]. Rows wait until
-    there are `WAITING` times as many as columns, for a factorization of few rows costs as much as one of all columns.
+    accumulate(features (N, k), targets (N, q), fold); `folds` maps fold → Factor of [features | targets]. Rows wait
+    until there are `WAITING` times as many as columns, for to factorize a few takes as long as to factorize as many as
+    there are columns.
     """
 
     def __init__(self):
