@@ -90,10 +90,11 @@ class StabilityGuard:
         left = 0
         for run in runs:
             states = batch.model.encode(run.window, run.held)
-            for factor in factors:
-                left += int(batch.diverged(states, factor * run.inputs, lengths=run.lengths, bound=bound).sum())
-                if at_most is not None and left >= at_most:
-                    return left
+            driven = np.concatenate([factor * run.inputs for factor in factors])
+            states, lengths = (np.concatenate([part] * len(factors)) for part in (states, run.lengths))
+            left += int(batch.diverged(states, driven, lengths=lengths, bound=bound).sum())
+            if at_most is not None and left >= at_most:
+                break
         return left
 
     def _of_delays(self, delays: int) -> tuple[list[Recorded], list[Recorded]]:
