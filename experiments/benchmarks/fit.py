@@ -1,7 +1,9 @@
-"""Fit time and evaluation time: `python experiments/benchmarks/fit.py` (one thread).
+"""CPU time of fits and of evaluation: `python experiments/benchmarks/fit.py [trajectories.h5]` (one thread).
 
-40 decays and 8,700 transitions of the slow-manifold trunk; SSMR of degree 3 with nine ridges cross-validated. The fit
-is timed through Lightning as in training, without validation; the evaluation is 500 starts of 1 s.
+Without a file it records the data first, `ssmr collect plant=trunk_coarse excitation=trunk`: 40 decays of 5 s and 60 s
+of controlled motion, three markers, eight cables. The closed form of the SSMR is that of the slow-manifold trunk as
+well, 40 decays and 8,700 controlled samples. Fits go through Lightning as in training. One row a figure: the first
+call, the median of the others, and that relative to the time that was aimed at.
 """
 
 from __future__ import annotations
@@ -9,54 +11,109 @@ from __future__ import annotations
 import logging
 import os
 import platform
+import sys
 import warnings
+from collections.abc import Callable
 from functools import partial
 from statistics import median
-from time import perf_counter
+from time import process_time
 
 import lightning
 import torch
 
 from ssmr_torch import configuration
 from ssmr_torch.data.datamodule import TrajectoryDataModule
-from ssmr_torch.evaluation.open_loop import score_open_loop
-from ssmr_torch.fitting.training import least_squares
+from ssmr_torch.evaluation.open_loop import compare_open_loop
+from ssmr_torch.fitting.gauss_newton import GaussNewtonFit
+from ssmr_torch.fitting.stability import StabilityGuard
+from ssmr_torch.fitting.training import koopman_least_squares, least_squares
+from ssmr_torch.models.koopman import EDMD
 from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.trajectory import TrajectoryDataset
 
-REPEATS = 5
+TUNED = {"state_dim": 10, "dynamics_degree": 2, "parametrization_degree": 1, "control_degree": 1}
+RIDGE = 6.5e-5
 
 
-def timed_fit(dataset) -> tuple[float, SSMR]:
-    model = SSMR(6, dataset.input_dim, dataset.output_dim, timestep=dataset.timestep)
-    fit = least_squares(model)
+class EpochTimes(lightning.Callback):
+    """CPU seconds of each epoch, its validation included."""
+
+    def __init__(self):
+        self.started: list[float] = []
+
+    def on_train_epoch_start(self, *_) -> None:
+        self.started.append(process_time())
+
+    def on_fit_end(self, *_) -> None:
+        self.started.append(process_time())
+
+    @property
+    def durations(self) -> list[float]:
+        return [after - before for before, after in zip(self.started, self.started[1:])]
+
+
+def fitted(dataset: TrajectoryDataset, build: Callable, model, *, validated: bool = False) -> list[float]:
+    """Fit a model in place; CPU seconds of each epoch."""
+    fit, times = build(model), EpochTimes()
     module = TrajectoryDataModule(dataset, validation_share=0.0).prepare(fit)
-    trainer = lightning.Trainer(accelerator="cpu", devices=1, max_epochs=fit.epochs, logger=False,
+    trainer = lightning.Trainer(accelerator="cpu", devices=1, max_epochs=fit.epochs, logger=False, callbacks=[times],
                                 enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
-                                limit_val_batches=0, use_distributed_sampler=False)
-    start = perf_counter()
+                                num_sanity_val_steps=0, use_distributed_sampler=False,
+                                limit_val_batches=1.0 if validated else 0)
     trainer.fit(fit, module)
-    return perf_counter() - start, model
+    return times.durations
+
+
+def sized(kind: type, dataset: TrajectoryDataset, **options):
+    return kind(input_dim=dataset.input_dim, output_dim=dataset.output_dim, timestep=dataset.timestep, **options)
+
+
+def closed_form(dataset: TrajectoryDataset, kind: type, build: Callable, **options) -> float:
+    return sum(fitted(dataset, build, sized(kind, dataset, **options)))
+
+
+def cpu(action: Callable) -> float:
+    begun = process_time()
+    action()
+    return process_time() - begun
+
+
+def recorded(*overrides: str) -> TrajectoryDataset:
+    config = configuration.composed("collect", ["excitation.progress=false", *overrides])
+    return configuration.built(config.excitation)(configuration.built(config.plant))
+
+
+def figures(trunk: TrajectoryDataset, manifold: TrajectoryDataset):
+    """Name, goal in s, and the CPU seconds of each repeat, first one first."""
+    yield "SSMR closed form, n = 6, degree 3, nine ridges", 0.35, [
+        closed_form(manifold, SSMR, least_squares, state_dim=6) for _ in range(5)]
+    for n in (6, 10):
+        yield f"  the same on the trunk, n = {n}, degree 2", 0.35, [
+            closed_form(trunk, SSMR, least_squares, **(TUNED | {"state_dim": n})) for _ in range(3)]
+    yield "EDMD closed form, two delays, degree 2, nine ridges", 8.0, [
+        closed_form(trunk, EDMD, koopman_least_squares, delays=2, degree=2) for _ in range(2)]
+    model = sized(SSMR, trunk, **TUNED)
+    fitted(trunk, partial(least_squares, ridge={"default": RIDGE}), model)
+    guard = StabilityGuard(trunk.select("train"))
+    yield "stability guard, once", 0.35, [cpu(lambda: guard.diverging(model)) for _ in range(4)]
+    yield "Gauss-Newton, an epoch", 5.0, fitted(trunk, partial(GaussNewtonFit, epochs=4, tolerance=0.0), model,
+                                                validated=True)
+    tested = trunk.select("test", "controlled")
+    yield "evaluation, 500 starts, 50 ms to full runs", 0.5, [
+        cpu(lambda: compare_open_loop({"SSMR": model}, tested)) for _ in range(4)]
 
 
 def main() -> None:
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     warnings.filterwarnings("ignore")
     torch.set_num_threads(1)
-    config = configuration.composed("collect", ["excitation.progress=false"])
-    dataset = configuration.built(config.excitation)(configuration.built(config.plant))
-    transitions = sum(t.length for t in dataset.select(kind="controlled"))
-    fits = [timed_fit(dataset) for _ in range(REPEATS)]
-    score = partial(score_open_loop, fits[-1][1].reduced.numpy(), dataset.select("test", "controlled"), horizons=(1.0,),
-                    starts=500)
-    evaluations = []
-    for _ in range(REPEATS):
-        start = perf_counter()
-        score()
-        evaluations.append(perf_counter() - start)
-    print(f"{platform.machine()}, {os.cpu_count()} cores, 1 thread; 40 decays, {transitions} controlled samples")
-    print(f"fit: median {median(t for t, _ in fits):.2f} s of {REPEATS} (first {fits[0][0]:.2f} s)")
-    print(f"evaluation of the artifact's model, 500 starts of 1 s and the full runs: "
-          f"median {median(evaluations):.2f} s of {REPEATS}")
+    trunk = (TrajectoryDataset.load(sys.argv[1]) if len(sys.argv) > 1
+             else recorded("plant=trunk_coarse", "excitation=trunk"))
+    print(f"{platform.machine()}, {os.cpu_count()} cores, 1 thread; CPU s\n"
+          f"{'figure':52}{'first':>8}{'median':>8}{'goal':>8}{'of it':>8}")
+    for name, goal, times in figures(trunk, recorded()):
+        usual = median(times[1:] or times)
+        print(f"{name:52}{times[0]:8.2f}{usual:8.2f}{goal:8.2f}{usual / goal:8.2f}", flush=True)
 
 
 if __name__ == "__main__":

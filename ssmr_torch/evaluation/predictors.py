@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ssmr_torch.models.batch_rollout import batch_of
+
 
 @dataclass(frozen=True)
 class Predictor:
@@ -27,15 +29,15 @@ class Predictor:
 
 
 def model_predictor(model) -> Predictor:
-    """A `Model`, or what has one as its `reduced`, in NumPy; samples from `diverged_at` on are infinite."""
-    reduced = model.reduced.numpy()
+    """A `Model`, or what has one as its `reduced`, in NumPy, compiled where its family is; samples from
+    `diverged_at` on are infinite.
+    """
+    batch = batch_of(model)
+    reduced = batch.model
 
     def predict(window, window_inputs, inputs):
         with np.errstate(over="ignore", invalid="ignore"):
-            states, diverged_at = reduced.rollout(reduced.encode(window, window_inputs), inputs)
-            outputs = reduced.decode(states[..., 1:, :])
-        diverged = np.arange(1, inputs.shape[-2] + 1) >= diverged_at[..., None]
-        return np.where(diverged[..., None], np.inf, outputs)
+            return batch.outputs(reduced.encode(window, window_inputs), inputs)
 
     return Predictor(predict, reduced.delays, reduced.timestep, reduced.window_timestep, reduced.output_dim,
                      reduced.input_dim)

@@ -14,6 +14,7 @@ from ssmr_torch.data.windows import RolloutBatch
 from ssmr_torch.fitting.fit import ModelFit
 from ssmr_torch.fitting.rollout_sensitivities import coefficients, rollout_sensitivities
 from ssmr_torch.fitting.stability import StabilityGuard
+from ssmr_torch.models.batch_rollout import batch_of
 from ssmr_torch.models.torch_model import TorchModel
 
 LARGEST = 6000           # coefficients: the normal matrix then takes 0.3 GB
@@ -211,9 +212,11 @@ class GaussNewtonFit(ModelFit):
 
     def _errors(self, batch: RolloutBatch, stressed: bool = False) -> Tensor:
         """Squared distances from what was measured, of stressed rollouts from the room, (N, steps) m²."""
-        states = self.model.rollout(self.model.encode(batch.window, batch.window_inputs), batch.inputs).states
-        there = torch.as_tensor(self._steps(batch), device=states.device)
-        outputs = self.model.decode(states[:, there])
+        reduced, there = batch_of(self.model), self._steps(batch)
+        window, held, inputs = (part.numpy(force=True) for part in (batch.window, batch.window_inputs, batch.inputs))
+        states = reduced.rollout(reduced.model.encode(window, held), inputs).states
+        outputs = torch.from_numpy(reduced.model.decode(states[:, there])).to(batch.outputs.device)
+        there = torch.as_tensor(there, device=outputs.device)
         return (outputs - self._target(batch, outputs, there - 1, stressed)).square().sum(-1)
 
     def _first_weights(self, batch: RolloutBatch) -> Tensor:

@@ -10,10 +10,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from ssmr_torch.data.windows import RolloutBatch
+from ssmr_torch.models.batch_rollout import batch_of
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.torch_model import TorchModel
 
@@ -32,13 +34,18 @@ class Steps(NamedTuple):
     """K integrator steps z⁺ = z + Σ_s G_s f_s, each of which evaluates the dynamics f_s = R φ_s at s stages.
 
     states (N, K + 1, n) with the initial ones; transitions ∂z⁺/∂z (N, K, n, n); gains G = ∂z⁺/∂f (N, K, n, s, n);
-    regressors φ (N, K, s, q).
+    regressors φ of each stage, (N, K, q).
     """
 
     states: Tensor
     transitions: Tensor
     gains: Tensor
-    regressors: Tensor
+    regressors: tuple[Tensor, ...]
+
+    def until(self, count: int) -> Steps:
+        """The first `count` of them."""
+        return Steps(self.states, self.transitions[:, :count], self.gains[:, :count],
+                     tuple(stage[:, :count] for stage in self.regressors))
 
 
 def coefficients(model: TorchModel, groups: Sequence[str] = GROUPS) -> list[Tensor]:
@@ -84,7 +91,7 @@ def rollout_sensitivities(model: TorchModel, batch: RolloutBatch, steps: Sequenc
     taken, within = _steps(model, batch, max(steps)), _within(model)
     features = model.chart_regressors(batch.window, batch.window_inputs)
     for step in steps:
-        before = Steps(taken.states, *(part[:, :step * within] for part in taken[1:]))
+        before = taken.until(step * within)
         z = taken.states[:, step * within]
         first, after = _adjoints(model.linearize_output(z).C, before.transitions)
         parts = _of_dynamics(model, widths, after, before) if "dynamics" in groups else []
@@ -113,41 +120,65 @@ def _steps(model: PolynomialModel, batch: RolloutBatch, count: int) -> Steps:
     within = _within(model)
     inputs = batch.inputs[:, :count].repeat_interleave(within, dim=1)
     single = replace(model, timestep=model.timestep / within, substeps=1)
-    states = single.states(model.encode(batch.window, batch.window_inputs), inputs)
+    states = states_of(single, model.encode(batch.window, batch.window_inputs), inputs)
     return Steps(states, *(_runge_kutta_steps if model.flow else _map_steps)(single, states[:, :-1], inputs))
 
 
-def _map_steps(model: PolynomialModel, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def states_of(model: PolynomialModel, z: Tensor, inputs: Tensor, bound: float = torch.inf) -> Tensor:
+    """States (N, H + 1, n), compiled; not numbers from where ‖z‖ exceeds the bound."""
+    states, diverged_at = batch_of(model).rollout(z.numpy(force=True), inputs.numpy(force=True), bound=bound)
+    states[np.arange(states.shape[1]) >= diverged_at[:, None]] = np.nan
+    return torch.from_numpy(states).to(z.device)
+
+
+def _points(of_steps: Tensor) -> Tensor:
+    """(N, K, n) as (n, N K)."""
+    return of_steps.flatten(0, 1).T.contiguous()
+
+
+def _map_steps(model: PolynomialModel, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
     h = model.base_timestep if model.structure.scheme == "euler" else 1.0
     identity = torch.eye(model.state_dim, dtype=z.dtype, device=z.device)
-    transition = h * model.state_jacobian(z, u)
+    _, regressors, by_state = model.dynamics_rows(_points(z), _points(u))
+    transition = h * by_state.unflatten(0, z.shape[:2])
     if model.structure.scheme == "euler":
         transition = identity + transition
-    return transition, (h * identity)[:, None].expand(*z.shape, 1, -1), model.dynamics_regressors(z, u)[:, :, None]
+    return transition, (h * identity)[:, None].expand(*z.shape, 1, -1), (_by_step(regressors, z),)
 
 
-def _runge_kutta_steps(model: PolynomialModel, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    h, stages = model.timestep, [z]
-    for ahead in (0.5 * h, 0.5 * h, h):
-        stages.append(z + ahead * model.rate(stages[-1], u))
+def _runge_kutta_steps(model: PolynomialModel, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
+    h, start, held = model.timestep, _points(z), _points(u)
+    stage, regressors, jacobians = start, [], []
+    for ahead in (0.5 * h, 0.5 * h, h, 0.0):
+        rate, seen, by_state = model.dynamics_rows(stage, held)
+        regressors.append(_by_step(seen, z))
+        jacobians.append(by_state)
+        stage = start + ahead * rate
     identity = torch.eye(model.state_dim, dtype=z.dtype, device=z.device)
     transition, gains, through = identity, [], 0.0
     # from the last stage to the first: a rate acts on z⁺ by its own share and through the stage that it leads to
-    for stage, share, ahead in zip(reversed(stages), (1.0, 2.0, 2.0, 1.0), (0.0, h, 0.5 * h, 0.5 * h)):
+    for by_state, share, ahead in zip(reversed(jacobians), (1.0, 2.0, 2.0, 1.0), (0.0, h, 0.5 * h, 0.5 * h)):
         gains.insert(0, share * h / 6.0 * identity + ahead * through)
-        through = gains[0] @ model.state_jacobian(stage, u)
+        through = gains[0] @ by_state
         transition = transition + through
     gains[-1] = gains[-1].expand_as(transition)
-    regressors = [model.dynamics_regressors(stage, u) for stage in stages]
-    return transition, torch.stack(gains, dim=3), torch.stack(regressors, dim=2)
+    return (transition.unflatten(0, z.shape[:2]), torch.stack(gains, dim=2).unflatten(0, z.shape[:2]),
+            tuple(regressors))
+
+
+def _by_step(rows: Tensor, z: Tensor) -> Tensor:
+    """(q, N K) as (N, K, q), of as many steps as z has, without a copy."""
+    return rows.unflatten(1, z.shape[:2]).permute(1, 2, 0)
 
 
 def _of_dynamics(model: PolynomialModel, widths: list[int], after: Tensor, before: Steps) -> list[Tensor]:
-    """For each dynamics table, Σ Λ G ⊗ φ over all stages of all steps, (N, p, n q): one product per start."""
+    """For each dynamics table, Σ Λ G ⊗ φ over all stages of all steps, (N, p, n q): a product per start and stage."""
     felt = (after @ before.gains.flatten(-2)).unflatten(-1, (-1, model.state_dim))
-    felt = felt.permute(0, 2, 4, 1, 3).flatten(3).flatten(1, 2)
-    return [(felt @ regressors).view(len(after), model.output_dim, -1)
-            for regressors in torch.split(before.regressors.flatten(1, 2), widths, dim=-1)]
+    felt = felt.permute(3, 0, 2, 4, 1).flatten(2, 3).contiguous()
+    total = felt[0] @ before.regressors[0]
+    for of_stage, regressors in zip(felt[1:], before.regressors[1:]):
+        total.baddbmm_(of_stage, regressors)
+    return [part.reshape(len(after), model.output_dim, -1) for part in total.split(widths, dim=-1)]
 
 
 def _of_parametrization(model: PolynomialModel, z: Tensor) -> Tensor:

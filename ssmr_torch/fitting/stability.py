@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from math import exp
+from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from ssmr_torch.data.windows import RolloutBatch, RolloutDataset, stack_rollouts
+from ssmr_torch.data.windows import RolloutBatch, RolloutDataset
 from ssmr_torch.fitting.fit import ModelFit
 from ssmr_torch.fitting.rollout_sensitivities import dynamics_tables
+from ssmr_torch.models.batch_rollout import BatchRollout, batch_of
 from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
 from ssmr_torch.models.torch_model import TorchModel
 
 HALVINGS = 12
+
+
+class Recorded(NamedTuple):
+    """Rollouts of the training set: window (N, n_d + 1, p), held (N, n_d, m), padded inputs (N, H, m), lengths (N,)."""
+
+    window: np.ndarray
+    held: np.ndarray
+    inputs: np.ndarray
+    lengths: np.ndarray
 
 
 class StabilityGuard:
@@ -42,7 +53,7 @@ class StabilityGuard:
         self.trajectories = tuple(_settled(run, transient) for run in trajectories if run.kind != "static")
         self.margin, self.reach, self.overdrive = float(margin), float(reach), float(overdrive)
         self.horizon, self.starts = float(horizon), int(starts)
-        self._recorded: dict[int, tuple[RolloutBatch, list[RolloutBatch]]] = {}
+        self._recorded: dict[int, tuple[list[Recorded], list[Recorded]]] = {}
 
     def holds(self, model: TorchModel) -> bool:
         """Whether the linear part is stable and no training rollout diverges."""
@@ -62,47 +73,40 @@ class StabilityGuard:
 
     def _leaving(self, model, at_most: int | None = None) -> Iterator[float]:
         """Share that leaves, of the rollouts from the samples, then of the full-length ones."""
-        bounded = model.structure.saturated
-        bound = (DIVERGENCE_FACTOR if bounded else self.reach) * torch.linalg.vector_norm(model.state_scale)
-        if not torch.isfinite(bound):
+        bounded, batch = model.structure.saturated, batch_of(model)
+        bound = batch.model.divergence_bound
+        bound = bound if bounded else bound * self.reach / DIVERGENCE_FACTOR
+        if not np.isfinite(bound):
             raise ValueError("the range of the training states is not known; guard a model after its closed form")
-        some, whole = self._of_delays(model.delays)
-        for batches in ([some], whole):
-            driven = [run.to(bound.device) for run in batches]
-            driven = driven if bounded else [copy for run in driven for copy in self._driven(run)]
-            yield self._left(model, driven, bound, at_most) / sum(len(batch.inputs) for batch in driven)
-
-    def _driven(self, run: RolloutBatch) -> list[RolloutBatch]:
-        """The recorded rollouts, and the same with stronger inputs."""
-        return [run] if self.overdrive == 1 else [run, replace(run, inputs=self.overdrive * run.inputs)]
+        factors = (1.0,) if bounded or self.overdrive == 1 else (1.0, self.overdrive)
+        for runs in self._of_delays(model.delays):
+            yield (self._left(batch, runs, factors, float(bound), at_most)
+                   / (len(factors) * sum(len(run.inputs) for run in runs)))
 
     @staticmethod
-    def _left(model, batches: list[RolloutBatch], bound: Tensor, at_most: int | None) -> int:
-        """How many rollouts leave the bound, counted up to `at_most`; batches by falling length, padded to the longest.
-        """
-        reduced = model.reduced
-        lengths = torch.cat([torch.full((len(batch.inputs),), batch.inputs.shape[1]) for batch in batches])
-        states = torch.cat([reduced.encode(batch.window, batch.window_inputs) for batch in batches])
-        inputs = pad_sequence([row for batch in batches for row in batch.inputs], batch_first=True)
-        left = torch.zeros(len(states), dtype=torch.bool, device=states.device)
-        for k in range(inputs.shape[1]):
-            running = int((lengths > k).sum())
-            states = reduced.step(states[:running], inputs[:running, k])
-            left[:running] |= ~(torch.linalg.vector_norm(states, dim=-1) <= bound)
-            if at_most is not None and int(left.sum()) >= at_most:
+    def _left(batch: BatchRollout, runs: list[Recorded], factors: tuple[float, ...], bound: float,
+              at_most: int | None) -> int:
+        """How many rollouts leave the bound, with their inputs multiplied by each factor, counted up to `at_most`."""
+        left = 0
+        for run in runs:
+            states = batch.model.encode(run.window, run.held)
+            driven = np.concatenate([factor * run.inputs for factor in factors])
+            states, lengths = (np.concatenate([part] * len(factors)) for part in (states, run.lengths))
+            left += int(batch.diverged(states, driven, lengths=lengths, bound=bound).sum())
+            if at_most is not None and left >= at_most:
                 break
-        return int(left.sum())
+        return left
 
-    def _of_delays(self, delays: int) -> tuple[RolloutBatch, list[RolloutBatch]]:
+    def _of_delays(self, delays: int) -> tuple[list[Recorded], list[Recorded]]:
         """Seeded starts of `horizon` s, and every trajectory from its first window to its end, longest first."""
         if delays not in self._recorded:
-            whole = [stack_rollouts([RolloutDataset([run], delays=delays, horizon=run.length - delays - 1)[0]])
-                     for run in self.trajectories if run.length > delays + 1]
+            whole = sorted((RolloutDataset([run], delays=delays, horizon=run.length - delays - 1)[0]
+                            for run in self.trajectories if run.length > delays + 1), key=lambda run: -len(run.inputs))
             samples = max(round(self.horizon / self.trajectories[0].timestep), 1)
-            samples = min(samples, max(batch.inputs.shape[1] for batch in whole))
-            drawn = RolloutDataset(self.trajectories, delays=delays, horizon=samples, starts=self.starts)
-            self._recorded[delays] = (stack_rollouts([drawn[index] for index in range(len(drawn))]),
-                                      sorted(whole, key=lambda batch: -batch.inputs.shape[1]))
+            drawn = RolloutDataset(self.trajectories, delays=delays, horizon=min(samples, len(whole[0].inputs)),
+                                   starts=self.starts)
+            self._recorded[delays] = ([_recorded([drawn[index] for index in range(len(drawn))])],
+                                      [_recorded(group) for group in _of_like_length(whole)])
         return self._recorded[delays]
 
     @torch.no_grad()
@@ -173,6 +177,23 @@ class GuardFit(ModelFit):
         guard = StabilityGuard(module.training, transient=module.transient, **self.settings)
         self.repairs = guard.enforce(self.model)
         self.optimizers().step()  # nothing has a gradient; a fit without a step would not be saved
+
+
+def _recorded(runs: Sequence[RolloutBatch]) -> Recorded:
+    """Single rollouts side by side."""
+    window, held = (torch.stack([getattr(run, name) for run in runs]) for name in ("window", "window_inputs"))
+    inputs = pad_sequence([run.inputs for run in runs], batch_first=True)
+    return Recorded(window.numpy(), held.numpy(), inputs.numpy(), np.array([len(run.inputs) for run in runs]))
+
+
+def _of_like_length(runs: Sequence[RolloutBatch]) -> list[list[RolloutBatch]]:
+    """Rollouts of falling length in groups, in which none is padded to more than twice its own."""
+    groups: list[list[RolloutBatch]] = []
+    for run in runs:
+        if not groups or 2 * len(run.inputs) < len(groups[-1][0].inputs):
+            groups.append([])
+        groups[-1].append(run)
+    return groups
 
 
 def _settled(run, transient: float):

@@ -11,7 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.linalg.lapack import dtpqrt
 from torch import Tensor, distributed
+
+WAITING = 4     # rows a column that are factorized together
+FEWEST = 2048   # rows
+BLOCK = 64      # columns
 
 # lars_path_gram ends at a penalty of 1e-7, however large the targets are
 PATH_SCALE = 1e6
@@ -31,7 +36,7 @@ class Factor:
 
     def merged(self, other: Factor) -> Factor:
         """Factor of both sets of rows."""
-        return Factor(_triangle(torch.cat([self.triangle, other.triangle])), self.rows + other.rows)
+        return Factor(_joined(self.triangle, other.triangle), self.rows + other.rows)
 
 
 @dataclass(frozen=True)
@@ -55,20 +60,38 @@ class Solution:
 class StreamedRegression:
     """targets ≈ C · features over any number of batches, kept apart by fold for cross-validation.
 
-    accumulate(features (N, k), targets (N, q), fold); `folds` maps fold → Factor of [features | targets].
+    accumulate(features (N, k), targets (N, q), fold); `folds` maps fold → Factor of [features | targets]. Rows wait
+    until there are `WAITING` times as many as columns, for to factorize a few takes as long as to factorize as many as
+    there are columns.
     """
 
     def __init__(self):
-        self.folds: dict[int, Factor] = {}
         self.split: tuple[int, int] | None = None
+        self._folds: dict[int, Factor] = {}
+        self._waiting: dict[int, list[Tensor]] = {}
+
+    @property
+    def folds(self) -> dict[int, Factor]:
+        for fold in list(self._waiting):
+            self._factorize(fold)
+        return self._folds
 
     def accumulate(self, features: Tensor, targets: Tensor, fold: int = 0) -> None:
         split = (features.shape[1], targets.shape[1])
         if self.split not in (None, split):
             raise ValueError(f"a batch has {split} features and targets; earlier ones had {self.split}")
         self.split = split
-        factor = Factor.of(torch.cat([features, targets], dim=1))
-        self.folds[fold] = self.folds[fold].merged(factor) if fold in self.folds else factor
+        waiting = self._waiting.setdefault(fold, [])
+        waiting.append(torch.cat([features, targets], dim=1))
+        if sum(map(len, waiting)) >= max(WAITING * sum(split), FEWEST):
+            self._factorize(fold)
+
+    def _factorize(self, fold: int) -> None:
+        self.merge(fold, Factor.of(torch.cat(self._waiting.pop(fold))))
+
+    def merge(self, fold: int, factor: Factor) -> None:
+        """Add the rows behind a factor to a fold."""
+        self._folds[fold] = self._folds[fold].merged(factor) if fold in self._folds else factor
 
     def total(self, without: int | None = None) -> Factor:
         """Factor of all folds but one."""
@@ -148,6 +171,8 @@ def gather(regressions: dict[str, StreamedRegression]) -> dict[str, StreamedRegr
     """The regressions over all processes of a distributed run, the same on each of them."""
     if not (distributed.is_available() and distributed.is_initialized()):
         return regressions
+    for regression in regressions.values():
+        _ = regression.folds  # a triangle is less to send than the rows that still wait for theirs
     shares: list = [None] * distributed.get_world_size()
     distributed.all_gather_object(shares, regressions)
     together: dict[str, StreamedRegression] = {}
@@ -156,7 +181,7 @@ def gather(regressions: dict[str, StreamedRegression]) -> dict[str, StreamedRegr
             whole = together.setdefault(name, StreamedRegression())
             whole.split = whole.split or regression.split
             for fold, factor in regression.folds.items():
-                whole.folds[fold] = whole.folds[fold].merged(factor) if fold in whole.folds else factor
+                whole.merge(fold, factor)
     return together
 
 
@@ -176,6 +201,14 @@ def _triangle(matrix: Tensor) -> Tensor:
         padding = matrix.new_zeros(matrix.shape[1] - len(matrix), matrix.shape[1])
         matrix = torch.cat([matrix, padding])
     return torch.linalg.qr(matrix, mode="r").R
+
+
+def _joined(upper: Tensor, lower: Tensor) -> Tensor:
+    """Triangle of two stacked: LAPACK's factorization that knows of their zeros takes a fifth of the time."""
+    if upper.device.type != "cpu" or upper.dtype != torch.float64 or not len(upper):
+        return _triangle(torch.cat([upper, lower]))
+    size = len(upper)
+    return torch.from_numpy(np.ascontiguousarray(dtpqrt(size, min(BLOCK, size), upper.numpy(), lower.numpy())[0]))
 
 
 def ridge_solutions(factor: Factor, features: int, candidates: Sequence[float]) -> list[Tensor]:
@@ -205,8 +238,11 @@ def _scaled_svd(factor: Factor, features: int) -> tuple[Tensor, Tensor, Tensor, 
 
 
 def _squared_error(factor: Factor, features: int, coefficients: Tensor) -> tuple[float, float]:
-    error = factor.triangle[:, features:] - factor.triangle[:, :features] @ coefficients.T
-    return float((error**2).sum()), float((factor.triangle[:, features:] ** 2).sum())
+    # below its first rows the triangle has no features, and the targets there are what no coefficients explain
+    explained, rest = factor.triangle[:features], factor.triangle[features:, features:]
+    error = explained[:, features:] - explained[:, :features] @ coefficients.T
+    unexplained = float((rest**2).sum())
+    return float((error**2).sum()) + unexplained, float((explained[:, features:] ** 2).sum()) + unexplained
 
 
 def _relative_error(factor: Factor, features: int, coefficients: Tensor) -> float:

@@ -20,7 +20,7 @@ from ssmr_torch.models.structure import SCHEMES
 RUNGE_KUTTA, EULER = SCHEMES.index("runge_kutta"), SCHEMES.index("euler")
 LANES = 64         # starts in a block: the monomials of so many stay in the cache
 VECTOR = 8         # lanes are a multiple of it
-ROWS, COLUMNS = 2, 4   # of a full table that are multiplied at a time
+ROWS, COLUMNS = 4, 4   # of a full table that are multiplied at a time
 SPARSE = 3         # an entry that is summed up alone takes as long as so many of a full table
 
 # Sums may be reordered, but NaN and infinity must keep their meaning: they say that a rollout diverged.
@@ -30,7 +30,8 @@ compiled = njit(cache=True, fastmath={"reassoc", "contract"})
 class FormTables(NamedTuple):
     """A form as the kernel reads it. products (2, ·): entry 1 + variables + i of the closure is entry products[0, i]
     times variable products[1, i]. full (R, C): the table's rows full_rows at the entries full_columns of the closure,
-    with zeros up to whole multiples of what is multiplied at a time; the row after the last takes what they give.
+    with zeros up to whole multiples of what is multiplied at a time, which rows of their own after the last take: were
+    two the same, nothing could be computed side by side.
     sparse_rows (S,): the others; entries sparse_first[i] to sparse_first[i + 1] of sparse_columns and sparse_values.
     """
 
@@ -66,11 +67,16 @@ class CompiledBatch(BatchRollout):
         diverged_at = np.empty(N, dtype=np.int64)
         _roll(*(np.ascontiguousarray(each, dtype=np.float64) for each in (z, inputs)),
               np.ascontiguousarray(lengths, dtype=np.int64), float(bound), self._tables, found, seen, diverged_at)
-        if self.model.coordinates is not None and outputs:
-            with np.errstate(over="ignore", invalid="ignore"):
-                seen = np.where(np.isfinite(seen), seen, np.inf)
-                seen = np.where(np.isfinite(seen).all(-1, keepdims=True), self.model.coordinates.inverse(seen), np.inf)
-        return found, seen, diverged_at
+        return found, self._in_outputs(seen) if outputs else seen, diverged_at
+
+    def _in_outputs(self, seen: np.ndarray) -> np.ndarray:
+        """From the model's coordinates, infinite from where a rollout diverged, to outputs."""
+        coordinates = self.model.coordinates
+        if coordinates is None:
+            return seen
+        finite = np.isfinite(seen).all(-1, keepdims=True)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.where(finite, coordinates.inverse(np.where(finite, seen, 0.0)), np.inf)
 
 
 def form_tables(form: Form) -> FormTables:
@@ -82,11 +88,12 @@ def form_tables(form: Form) -> FormTables:
     rows = entries(~few)
     full = np.zeros((_padded(len(rows), ROWS), _padded(len(columns), COLUMNS)))
     full[:len(rows), :len(columns)] = table[np.ix_(rows, columns)]
+    spare = range(len(table), len(table) + len(full) - len(rows))
     chosen, places = np.nonzero(table[few])
     first = np.concatenate([[0], np.cumsum(np.count_nonzero(table[few], axis=1))])
-    return FormTables(_products(form.monomials), full, _index(rows, len(full), len(table)),
-                      _index(columns, full.shape[1], 0), _index(entries(few)), _index(first), _index(places),
-                      np.ascontiguousarray(table[few][chosen, places]))
+    return FormTables(_products(form.monomials), full, _index([*rows, *spare]),
+                      _index([*columns, *[0] * (full.shape[1] - len(columns))]), _index(entries(few)), _index(first),
+                      _index(places), np.ascontiguousarray(table[few][chosen, places]))
 
 
 def _products(monomials: Monomials) -> np.ndarray:
@@ -97,10 +104,9 @@ def _padded(size: int, multiple: int) -> int:
     return -(-size // multiple) * multiple
 
 
-def _index(values: np.ndarray, size: int | None = None, filling: int = 0) -> np.ndarray:
-    """Unsigned indices, which index faster, up to this size."""
-    found = np.ascontiguousarray(values, dtype=np.uint32)
-    return found if size is None else np.concatenate([found, np.full(size - len(found), filling, dtype=np.uint32)])
+def _index(values) -> np.ndarray:
+    """Unsigned indices, which index faster."""
+    return np.ascontiguousarray(values, dtype=np.uint32)
 
 
 @compiled
@@ -125,18 +131,23 @@ def _apply(form, closure, out):
     """out = table · closure."""
     _, full, full_rows, full_columns, sparse_rows, sparse_first, sparse_columns, sparse_values = form
     lanes = closure.shape[1]
-    for i in range(0, len(full_rows), 2):
-        a, b = out[full_rows[i]], out[full_rows[i + 1]]
+    for i in range(0, len(full_rows), 4):
+        a, b, c, d = out[full_rows[i]], out[full_rows[i + 1]], out[full_rows[i + 2]], out[full_rows[i + 3]]
         for lane in range(lanes):
-            a[lane], b[lane] = 0.0, 0.0
+            a[lane], b[lane], c[lane], d[lane] = 0.0, 0.0, 0.0, 0.0
         for q in range(0, len(full_columns), 4):
             w, x = closure[full_columns[q]], closure[full_columns[q + 1]]
             y, z = closure[full_columns[q + 2]], closure[full_columns[q + 3]]
             a0, a1, a2, a3 = full[i, q], full[i, q + 1], full[i, q + 2], full[i, q + 3]
             b0, b1, b2, b3 = full[i + 1, q], full[i + 1, q + 1], full[i + 1, q + 2], full[i + 1, q + 3]
+            c0, c1, c2, c3 = full[i + 2, q], full[i + 2, q + 1], full[i + 2, q + 2], full[i + 2, q + 3]
+            d0, d1, d2, d3 = full[i + 3, q], full[i + 3, q + 1], full[i + 3, q + 2], full[i + 3, q + 3]
             for lane in range(lanes):
-                a[lane] += a0 * w[lane] + a1 * x[lane] + a2 * y[lane] + a3 * z[lane]
-                b[lane] += b0 * w[lane] + b1 * x[lane] + b2 * y[lane] + b3 * z[lane]
+                e, f, g, h = w[lane], x[lane], y[lane], z[lane]
+                a[lane] += a0 * e + a1 * f + a2 * g + a3 * h
+                b[lane] += b0 * e + b1 * f + b2 * g + b3 * h
+                c[lane] += c0 * e + c1 * f + c2 * g + c3 * h
+                d[lane] += d0 * e + d1 * f + d2 * g + d3 * h
     for i in range(len(sparse_rows)):
         a = out[sparse_rows[i]]
         for lane in range(lanes):
@@ -190,9 +201,9 @@ def _stepped(x, k, start, total, scheme, stage, h):
 @compiled
 def _advance(x, inputs, tables, work):
     """x (n, lanes) one timestep later with the inputs (lanes, m) held."""
-    dynamics, _, lifting, positions, linear, edge, _, scheme, h, count = tables
+    dynamics, _, lifting, positions, linear, edge, rates, scheme, h, count = tables
     closure, lifted, k, start, total = work
-    n, m, rates = len(x), inputs.shape[1], len(k) - 1
+    n, m = len(x), inputs.shape[1]
     for lane in range(len(inputs)):
         for j in range(m):
             closure[1 + n + j, lane] = inputs[lane, j]
@@ -261,8 +272,8 @@ def _roll(first_states, inputs, lengths, bound, tables, states, outputs, diverge
     lanes = min(LANES, max(-(-N // VECTOR), 1) * VECTOR)
     z, x, inside = np.empty((n, lanes)), np.empty((n, lanes)), np.empty(lanes, dtype=np.bool_)
     work = (np.ones((1 + n + m + dynamics[0].shape[1], lanes)), np.ones((1 + rates + lifting.shape[1], lanes)),
-            np.zeros((rates + 1, lanes)), np.zeros((n, lanes)), np.zeros((n, lanes)))
-    seen, y = np.ones((1 + n + output[0].shape[1], lanes)), np.zeros((p + 1, lanes))
+            np.zeros((rates + ROWS, lanes)), np.zeros((n, lanes)), np.zeros((n, lanes)))
+    seen, y = np.ones((1 + n + output[0].shape[1], lanes)), np.zeros((p + ROWS, lanes))
     for first in range(0, N, lanes):
         here = slice(first, min(first + lanes, N))
         count = here.stop - here.start

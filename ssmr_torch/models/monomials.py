@@ -104,6 +104,18 @@ class Monomials:
             parts.append(parts[-1][..., self._on(x, parent)] * x[..., self._on(x, variable)])
         return xp.concatenate(parts, -1)
 
+    def rows(self, x: Array) -> Array:
+        """The closure of points x (variables, M), one row a monomial, (size, M): rows multiply faster than columns."""
+        xp = namespace(x)
+        parts = [xp.ones_like(x[:1]), x]
+        for parent, variable in self.levels:
+            parts.append(parts[-1][on_device(x, parent)] * x[on_device(x, variable)])
+        return xp.concatenate(parts, 0)
+
+    def chosen_rows(self, closure: Array) -> Array:
+        """φ out of `rows`, (size, M) → (q, M)."""
+        return closure[self._chosen if isinstance(self._chosen, slice) else on_device(closure, self._chosen)]
+
     def __call__(self, x: Array) -> Array:
         """φ(x), (..., variables) → (..., q)."""
         return self.chosen(self.multiplied_out(x))

@@ -226,6 +226,21 @@ class PolynomialModel(Model):
         seen = self.structure.dynamics(self.joint(z, u)[0])
         return xp.concatenate([seen, z], -1)[..., on_device(seen, self._beyond_linear)]
 
+    def dynamics_rows(self, z: Array, u: Array) -> tuple[Array, Array, Array]:
+        """f (·, M), `dynamics_regressors` (q, M) and ∂f/∂z (M, ·, n), at many points z (n, M), u (m, M) at once."""
+        xp, monomials, slopes = namespace(z), self.structure.dynamics, None
+        joint = xp.concatenate([z, u], 0)
+        if self.structure.saturated:
+            within, slopes = self.joint(z.T, u.T)
+            joint = within.T
+        closure = monomials.rows(joint)
+        regressors = monomials.chosen_rows(closure)
+        if slopes is not None:
+            regressors = xp.concatenate([regressors, z], 0)[on_device(z, self._beyond_linear)]
+        needed, by_state = self.dynamics_form.slopes(0, self.state_dim)
+        by_state = (closure[on_device(closure, needed)].T @ by_state.T).reshape(-1, len(self.dynamics), self.state_dim)
+        return self.dynamics @ regressors, regressors, self._bent(by_state, slopes)
+
     @cached_property
     def _beyond_linear(self) -> np.ndarray:
         """Positions in [φ, z] of the regressors: linear ones are entries of z itself."""
@@ -262,7 +277,10 @@ class PolynomialModel(Model):
         return self.structure.dynamics.multiplied_out(joint), slopes
 
     def _by_state(self, closure: Array, slopes: Array | None) -> Array:
-        by_state = self.dynamics_form.jacobian(closure, 0, self.state_dim)
+        return self._bent(self.dynamics_form.jacobian(closure, 0, self.state_dim), slopes)
+
+    def _bent(self, by_state: Array, slopes: Array | None) -> Array:
+        """∂f/∂z of what ∂f/∂s is by_state of, where s has these slopes."""
         if slopes is None:
             return by_state
         slopes = slopes[..., None, :]

@@ -78,6 +78,27 @@ def test_singular_values_are_those_of_all_rows(rows):
     assert (vectors[vectors.abs().argmax(0), torch.arange(7)] > 0).all()
 
 
+def test_rows_that_wait_are_factorized_once_there_are_enough_or_once_they_are_asked_for():
+    rng, regression = np.random.default_rng(0), StreamedRegression()
+    batches = [torch.from_numpy(rng.normal(size=(700, 3))) for _ in range(7)]
+    for number, batch in enumerate(batches):
+        regression.accumulate(batch[:, :2], batch[:, 2:], fold=number % 2)
+    triangles = {fold: factor.triangle for fold, factor in regression.folds.items()}
+    for fold, triangle in triangles.items():
+        rows = torch.cat(batches[fold::2])
+        torch.testing.assert_close(triangle.T @ triangle, rows.T @ rows, rtol=1e-12, atol=1e-12)
+        assert regression.folds[fold].rows == len(rows)
+    regression.accumulate(batches[0][:, :2], batches[0][:, 2:])
+    assert regression.folds[0].rows == 5 * 700 and regression.total().rows == 8 * 700
+
+
+def test_triangles_are_merged_as_their_rows_would_be():
+    a, b = (Factor.of(torch.randn(size, 90, dtype=torch.float64)) for size in (200, 30))
+    merged, stacked = a.merged(b).triangle, torch.cat([a.triangle, b.triangle])
+    torch.testing.assert_close(merged.T @ merged, stacked.T @ stacked, rtol=1e-12, atol=1e-11)
+    assert (merged.tril(-1) == 0).all() and a.merged(b).rows == 230
+
+
 def test_a_feature_that_is_always_zero_gets_a_zero_coefficient():
     features = torch.randn(30, 3, dtype=torch.float64)
     features[:, 1] = 0

@@ -36,6 +36,8 @@ def test_any_set_of_monomials_in_any_order_is_served_and_its_factors_may_come_in
     np.testing.assert_array_equal(part(z), whole(z)[:, rows])
     np.testing.assert_array_equal(part.jacobian(z), whole.jacobian(z)[:, rows])
     np.testing.assert_array_equal(part(torch.from_numpy(z)).numpy(), part(z))
+    np.testing.assert_array_equal(part.chosen_rows(part.rows(z.T)).T, part(z))
+    np.testing.assert_array_equal(part.chosen_rows(part.rows(torch.from_numpy(z.T))).T, part(z))
     np.testing.assert_array_equal(part.jacobian(torch.from_numpy(z)).numpy(), part.jacobian(z))
 
 
