@@ -17,8 +17,8 @@ def main(config, directory):
     given = face.read(config.recordings) if config.recordings else instantiate(config.data)
     report = face.check(given.observing(config.outputs))
     (directory / "check.txt").write_text(f"{report}\n")
-    save_json(directory / "check.json", {"findings": report.as_dict(), "data": given.provenance, "provenance": provenance(
-        OmegaConf.to_container(config, resolve=False))})
+    origin = provenance(OmegaConf.to_container(config, resolve=False))
+    save_json(directory / "check.json", {"findings": report.as_dict(), "data": given.provenance, "provenance": origin})
     drawn = report.figures(directory) if config.figures else []
     print("\n".join([str(report), *map(str, drawn), str(directory / "check.json")]))
     counts = report.counts()

@@ -39,20 +39,19 @@ def read(card: str | Path) -> TrajectoryDataset:
 
 
 def check(data: TrajectoryDataset) -> RecordingsReport:
-    """What recordings lack, before any fit: decays, range of amplitude and speed, dither, held-out runs, noise, sampling,
-    delay, friction, drift and the neutral input, each with a number and a remedy; `ssmr check recordings=CARD.yaml`.
+    """What recordings lack, before any fit: decays, range of amplitude and speed, dither, held-out runs, noise,
+    sampling, delay, friction, drift, the neutral input, each with a number and a remedy. As `ssmr check` does.
 
-    data: of `read`, `load` or `trajectories`. The report prints itself, `report["delay"].numbers` are plain values in SI
-    units, `report.figures(DIRECTORY)` draws what was found. Nothing is changed, and no file is written.
+    data: of `read`, `load` or `trajectories`. The report prints itself, `report["delay"].numbers` are plain values in
+    SI units, `report.figures(DIRECTORY)` draws what was found. Nothing is changed, and no file is written.
     Raises TypeError for what is no dataset.
 
     >>> import numpy as np, ssmr_torch
     >>> t = np.arange(0.0, 3.0, 0.01)
     >>> swing = 8.0 * np.exp(-2.0 * t) * np.cos(9.0 * t)
     >>> report = check(ssmr_torch.trajectories(decays=[(t, swing, 0.0 * t)], units={"length": "mm"}))
-    >>> print(report["decays"])
-    look here: 1 decay; in its last tenth it moves by at most 0.48 % of its size, and its end lies 0.00444 mm from rest. \
-    Record at least 4, from different sides.
+    >>> print(report["decays"].said)
+    1 decay; in its last tenth it moves by at most 0.48 % of its size, and its end lies 0.00444 mm from rest.
     """
     return found("ssmr_torch.recordings.report:check")(data)
 

@@ -174,7 +174,8 @@ def latin_hypercube_set_points(count: int, inputs: int, seed: int, share: float 
 
 @dataclass(frozen=True)
 class Chirp:
-    """Sines about the middle of the share that sweep logarithmically from `slowest` to `fastest` Hz, at random phases."""
+    """Sines about the middle of the share that sweep logarithmically from `slowest` to `fastest` Hz, at random
+    phases."""
 
     slowest: float = 0.1
     fastest: float = 3.0
@@ -230,7 +231,7 @@ class Dithered:
 
 
 def mpc_like(excitation: Excitation, share: float = 0.05, hold: float = 0.02) -> Dithered:
-    """Inputs as a predictive controller makes them: a smooth signal, corrected by 5 % of the range every `hold` s."""
+    """Inputs as a predictive controller makes them: a smooth signal, each `hold` s corrected by 5 % of the range."""
     return Dithered(excitation, share, hold)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from ssmr_torch.evaluation.figures import MM, MS, WIDTH, panels, save, styled
 
@@ -57,7 +58,8 @@ def _range(axes: Axes, finding, output_names) -> None:
         every = max(1, len(y) // MOST_POINTS)
         axes.plot(MM * y[::every], v[::every], ".", markersize=1.5, color=colour, label=label, rasterized=True)
     axes.set(xlabel=f"{output_names[column]} (mm)", ylabel="speed (m/s)")
-    axes.legend(markerscale=5, loc="upper right", handletextpad=0.1, borderaxespad=0.1)
+    axes.margins(y=0.2)
+    axes.legend(markerscale=5, loc="upper right", handletextpad=0.1, borderaxespad=0.1, ncols=2, columnspacing=0.6)
 
 
 def _dither(axes: Axes, finding, output_names) -> None:
@@ -65,8 +67,8 @@ def _dither(axes: Axes, finding, output_names) -> None:
     axes.loglog(frequencies, power / power.sum(), color=INK)
     if np.isfinite(finding.curves["mode"]):
         axes.axvline(finding.curves["mode"], color="black", linestyle="--", linewidth=0.9)
-        axes.annotate("fastest\nslow mode", (finding.curves["mode"], 1.0), xycoords=("data", "axes fraction"),
-                      xytext=(-3, -2), textcoords="offset points", va="top", ha="right", fontsize=7)
+        axes.annotate("fastest\nslow mode", (finding.curves["mode"], 0.0), xycoords=("data", "axes fraction"),
+                      xytext=(-3, 3), textcoords="offset points", va="bottom", ha="right", fontsize=7)
     axes.set(xlabel="frequency (Hz)", ylabel="share of the input's power (–)")
 
 
@@ -87,7 +89,7 @@ def _delay(axes: Axes, finding, output_names) -> None:
     axes.step(lags, residual, where="mid", color=INK)
     if finding.numbers.get("samples") is not None:
         axes.axvline(MS * finding.numbers["delay_s"], color="black", linestyle="--", linewidth=0.9)
-    axes.set(xlabel="inputs known up to … before (ms)", ylabel="unexplained motion (–)", yscale="log")
+    axes.set(xlabel="inputs known up to … before (ms)", ylabel="unexplained motion (–)")
     axes.margins(y=0.15)
 
 
@@ -100,7 +102,8 @@ def _drift(axes: Axes, finding, output_names) -> None:
                       color=INK, alpha=0.35 + 0.65 / (1 + column), linewidth=0.8)
     axes.axhline(0.0, color="black", linewidth=0.7)
     axes.set(xlabel="controlled run", ylabel="drift within a run (mm)", xlim=(0.5, len(slopes) + 0.5))
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
-PANELS = {"decays": _decays, "range": _range, "dither": _dither, "sampling": _sampling, "delay": _delay, "drift": _drift}
+PANELS = {"decays": _decays, "range": _range, "dither": _dither, "sampling": _sampling, "delay": _delay,
+          "drift": _drift}

@@ -31,7 +31,8 @@ def coverage(recorded: Recorded) -> Finding:
     controlled = recorded.of("train", "controlled")
     if not controlled:
         return Finding(subject, MISSING, "0 controlled runs in the training: how inputs act cannot be learned.",
-                       "Record a minute with inputs that vary over the range the robot shall use.", {"controlled_s": 0.0})
+                       "Record a minute with inputs that vary over the range the robot shall use.",
+                       {"controlled_s": 0.0})
     seconds = sum(run.length * run.timestep for run in controlled)
     if not test:
         return Finding(subject, LOOK, f"{seconds:.3g} s of controlled training, and no test to compare its range with.",
@@ -48,10 +49,12 @@ def coverage(recorded: Recorded) -> Finding:
     worst = max(parts, key=lambda name: numbers[f"{name}_outside"])
     share = numbers[f"{worst}_outside"]
     said = "Test samples outside of the training's range: " + ", ".join(
-        f"{name} {100 * numbers[f'{name}_outside']:.2g} % (up to {numbers[f'{name}_factor']:.3g} times)" for name in parts)
+        f"{name} {100 * numbers[f'{name}_outside']:.2g} % (up to {numbers[f'{name}_factor']:.3g} "
+        "times)" for name in parts)
     said += f"; {seconds:.3g} s of controlled training."
     if share > OUTSIDE:
-        return Finding(subject, LOOK, said, f"Record training with {numbers[f'{worst}_factor']:.2g} times the {worst}, or "
+        return Finding(subject, LOOK, said, f"Record training with {numbers[f'{worst}_factor']:.2g} times the "
+                                            f"{worst}, or "
                        "read the score as one of extrapolation.", numbers, curves)
     return Finding(subject, GOOD, said, "", numbers, curves)
 

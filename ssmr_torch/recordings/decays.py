@@ -30,11 +30,11 @@ def decays(recorded: Recorded) -> Finding:
     numbers = {"count": len(runs), "moving_share": float(moves.max()), "still_moving": int((moves > STILL).sum()),
                "ends_apart_m": float(apart.max()), "ends_from_rest_m": away}
     curves = {"decays": [(run.time - run.time[0], np.linalg.norm(run.observation, axis=1)) for run in runs]}
-    said = (f"{len(runs)} decays; in their last tenth they move by at most {100 * moves.max():.2g} % of their size, and "
-            f"their ends lie up to {millimetres(apart.max())} apart and {millimetres(away)} from rest.")
+    said = (f"{len(runs)} decays; in their last tenth they move by at most {100 * moves.max():.2g} % of their size, "
+            f"and their ends lie up to {millimetres(apart.max())} apart and {millimetres(away)} from rest.")
     if len(runs) == 1:
-        said = (f"1 decay; in its last tenth it moves by at most {100 * moves.max():.2g} % of its size, and its end lies "
-                f"{millimetres(away)} from rest.")
+        said = (f"1 decay; in its last tenth it moves by at most {100 * moves.max():.2g} % of its size, and its end "
+                f"lies {millimetres(away)} from rest.")
     if away > ELSEWHERE * recorded.reach and away > 3 * np.median(apart):
         remedy = "Give the position where the decays end as rest (rest: last sample of decays)."
         return Finding(subject, MISSING if away > 0.3 * recorded.reach else LOOK, said, remedy, numbers, curves)

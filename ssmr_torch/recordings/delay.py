@@ -14,6 +14,7 @@ PAST = 6                    # outputs that the prediction knows
 AHEAD = (1, 2, 4, 8)        # samples that it looks ahead
 SIGNIFICANT = 0.005         # of the residual that the inputs of one lag must explain
 ONSET = 0.1                 # of what the most telling lag explains
+FLOOR = 1e-12               # of the motion, that always remains
 LAST = 4                    # lags that stand for all that is earlier, and tell nothing of their own
 CHANCE = 6.0                # times the mean of what an input explains by chance
 
@@ -31,9 +32,10 @@ class Delay(NamedTuple):
 def command_delay(runs: Sequence[Trajectory]) -> Delay:
     """The smallest lag at which inputs matter: y[k+s] is regressed on the past of y and on inputs u[k+s-1-j].
 
-    The inputs enter from the latest lag j to the earliest, each lag as a block; the residual of all these nested
-    regressions comes from one QR decomposition. The delay is the earliest lag that still lowers the residual by more than
-    `SIGNIFICANT`, chance, and `ONSET` of the most telling lag; of several steps s ahead the smallest delay counts, since noise only hides it.
+    The inputs enter from the earliest to the latest, each lag j as a block; the residuals of all these nested
+    regressions come from one QR decomposition. The delay is the smallest lag that still lowers the residual by more
+    than `SIGNIFICANT`, than chance, and than `ONSET` of the most telling lag; of several steps s ahead the smallest
+    delay counts, since noise only hides it.
     """
     runs = [run for run in runs if run.length > LATEST + 4 * PAST and np.ptp(run.input, axis=0).max() > 0]
     lags = np.arange(EARLIEST, LATEST + 1)
@@ -72,7 +74,7 @@ def _nested(runs: Sequence[Trajectory], ahead: int, lags: np.ndarray) -> tuple[n
         return np.ones(len(lags)), np.inf
     triangle = np.linalg.qr(np.hstack([known, targets]), mode="r")
     explained = np.sum(triangle[:width, width:] ** 2, axis=1)
-    rest = np.sum(triangle[width:, width:] ** 2)
+    rest = np.sum(triangle[width:, width:] ** 2) + FLOOR * np.sum(targets ** 2)
     remaining = rest + np.sum(explained) - np.cumsum(explained)
     before = width - inputs * len(lags)
     return remaining[before + inputs - 1::inputs][::-1], CHANCE * inputs / len(known)

@@ -12,8 +12,9 @@ SEVERITIES = (GOOD, LOOK, MISSING, UNTOLD)
 class Finding:
     """One subject of the check.
 
-    severity: "good", "look here", "missing", or "cannot be told" from these recordings. said: one sentence with the number. remedy: one sentence, empty where
-    there is nothing to do. numbers: plain values, SI units. curves: arrays for the figure.
+    severity: "good", "look here", "missing", or "cannot be told" from these recordings. said: one sentence with the
+    number. remedy: one sentence, empty where there is nothing to do. numbers: plain values, SI units. curves: arrays
+    for the figure.
     """
 
     subject: str

@@ -105,7 +105,8 @@ def _windows(runs: Sequence[Trajectory], lags: int, stride: int) -> tuple[np.nda
     return np.concatenate(before), np.concatenate(after), np.concatenate(inputs)
 
 
-def _decomposed(before: np.ndarray, after: np.ndarray, inputs: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+def _decomposed(before: np.ndarray, after: np.ndarray, inputs: np.ndarray, step: float) -> tuple[np.ndarray,
+np.ndarray]:
     scale = np.sqrt(np.mean(before ** 2)) or 1.0
     left, singular, basis = np.linalg.svd(before / scale, full_matrices=False)
     energy = np.cumsum(singular ** 2) / np.sum(singular ** 2)

@@ -13,6 +13,7 @@ from ssmr_torch.trajectory import Trajectory
 ORDERS = (3, 4, 5, 6)  # of differences
 WINDOW = 48         # samples
 QUIETEST = 0.2      # share of the windows
+FEWEST = 12         # windows
 AGREEMENT = 1.15    # between two orders of differences, where white noise alone remains
 
 
@@ -28,48 +29,50 @@ class Noise(NamedTuple):
 
 
 def measurement_noise(runs: Sequence[Trajectory]) -> Noise:
-    """White noise by differences of order q in the quietest windows: var(Δ^q y) = C(2q, q) σ².
+    """White noise by differences of order q in quiet windows: var(Δ^q y) = C(2q, q) σ².
 
-    Differences of a smooth motion fall with the order, those of white noise do not: the order is raised until two agree.
-    Windows are called quiet by their slow motion, a mean over many samples, which says nothing of their noise: choosing
-    those with the smallest differences would estimate σ too low. The median over windows is corrected to the mean
-    of its χ² distribution, with the degrees of freedom that correlated differences leave.
+    Differences of a smooth motion fall with the order, those of white noise do not: the order is raised until two
+    agree. Windows are called quiet by their slow motion, a mean over many samples, which says nothing of their noise:
+    choosing those with the smallest differences would estimate σ too low. The median over windows is corrected to the
+    mean of its χ² distribution, with the degrees of freedom that correlated differences leave.
     """
     outputs = runs[0].observation.shape[1]
     std, step, bound = np.zeros(outputs), np.zeros(outputs), False
     for column in range(outputs):
-        windows = _quiet([run.observation[:, column] for run in runs])
         step[column] = rounding([run.observation[:, column] for run in runs])
-        if not len(windows):
-            continue
-        found = [_of_order(q, windows) for q in ORDERS]
-        settled = [late for early, late in zip(found, found[1:]) if early <= AGREEMENT * late]
-        std[column] = max(settled[0] if settled else found[-1], step[column] / np.sqrt(12))
+        settled, lowest = _settled(_by_quietness([run.observation[:, column] for run in runs]))
+        std[column] = max(lowest, step[column] / np.sqrt(12))
         bound |= not settled
     return Noise(std, step, bound)
 
 
-def _quiet(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """The windows (n, WINDOW) of the slowest motion."""
+def _settled(windows: np.ndarray) -> tuple[bool, float]:
+    """Whether two orders of differences agree in the quietest windows, and what the lower one estimates there."""
+    chosen = windows[:max(FEWEST, int(QUIETEST * len(windows)))]
+    found = [_of_order(order, chosen) for order in ORDERS] if len(chosen) else [0.0]
+    for early, late in zip(found, found[1:]):
+        if early <= AGREEMENT * late:
+            return True, early
+    return False, found[-1]
+
+
+def _by_quietness(columns: Sequence[np.ndarray]) -> np.ndarray:
+    """All windows (n, WINDOW), those of the slowest motion first."""
     windows, speeds = [], []
     length = int(min(WINDOW, max(len(y) for y in columns)))
     for y in columns:
         for start in range(0, len(y) - length + 1, length):
             part = y[start:start + length]
-            quarters = part[:length - length % 4].reshape(4, -1).mean(axis=1)
             windows.append(part)
-            speeds.append(np.ptp(quarters))
-    if not windows:
-        return np.empty((0, WINDOW))
-    count = min(len(windows), max(6, int(QUIETEST * len(windows))))
-    return np.array(windows)[np.argsort(speeds)[:count]]
+            speeds.append(np.ptp(part[:length - length % 4].reshape(4, -1).mean(axis=1)) if length >= 4 else 0.0)
+    return np.array(windows)[np.argsort(speeds, kind="stable")] if length > max(ORDERS) else np.empty((0, length))
 
 
 def _of_order(order: int, windows: np.ndarray) -> float:
     differences = np.diff(windows, order, axis=1)
     variance = np.mean(differences ** 2, axis=1) / comb(2 * order, order)
     # mean squares of correlated numbers scatter as those of fewer independent ones: 2 / k of their mean
-    correlation = np.array([comb(2 * order, order + lag) for lag in range(order + 1)], dtype=float) / comb(2 * order, order)
+    correlation = np.array([comb(2 * order, order + lag) for lag in range(order + 1)]) / comb(2 * order, order)
     freedom = differences.shape[1] / (1 + 2 * np.sum(correlation[1:] ** 2))
     return float(np.sqrt(np.median(variance) / (1 - 2 / (9 * freedom)) ** 3))
 

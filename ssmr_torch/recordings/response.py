@@ -27,13 +27,13 @@ class Response(NamedTuple):
     residual: np.ndarray
 
 
-def response(runs: Sequence[Trajectory], modes: Modes, more, delay: int = 0) -> Response | None:
+def response(runs: Sequence[Trajectory], modes: Modes, more, delay: int = 0, where=None) -> Response | None:
     """Least squares of y on the inputs seen through the slow modes, and on `more`.
 
     Each input, and each product of two inputs where there are rows enough, passes x' = λ (x − u) for the slow rates λ;
     y is linear in Re x and Im x. more(run, number, count) → {name: columns (T, k)} are further regressors.
-    Standard errors count correlated residuals as fewer independent ones. delay: samples by which inputs act late.
-    None where no run lasts `SHORTEST` times the modes' memory.
+    where(run) → (T,): the samples that count. Standard errors count correlated residuals as fewer independent ones.
+    delay: samples by which inputs act late. None where no run lasts `SHORTEST` times the modes' memory.
     """
     memory, fastest = modes.memory, modes.fastest
     if memory is None:
@@ -51,7 +51,8 @@ def response(runs: Sequence[Trajectory], modes: Modes, more, delay: int = 0) -> 
     unit[unit == 0] = 1.0
     parts, targets, edges = [], [], []
     for number, run in enumerate(long):
-        rows = slice(begins, None, every)
+        rows = np.arange(begins, run.length, every)
+        rows = rows if where is None else rows[where(run)[rows]]
         seen, static = _seen(run.input / unit, rates, timestep, squares, delay)
         named = {"inputs": seen[rows]}
         named |= {name: np.asarray(columns)[rows] for name, columns in more(run, number, len(long)).items()}
@@ -81,8 +82,8 @@ def _seen(u: np.ndarray, rates: np.ndarray, timestep: float, squares: bool,
     for rate in rates:
         static.append(sum(each.shape[1] for each in found) + np.arange(u.shape[1]))
         keeps = np.exp(rate * timestep)
-        start = (signals[0] * keeps)[None]
-        passed = lfilter([0.0, 1.0 - keeps], [1.0, -keeps], signals.astype(complex), axis=0, zi=start.astype(complex))[0]
+        start = (signals[0] * keeps)[None].astype(complex)
+        passed, _ = lfilter([0.0, 1.0 - keeps], [1.0, -keeps], signals.astype(complex), axis=0, zi=start)
         found += [passed.real, passed.imag] if abs(rate.imag) > 1e-9 else [passed.real]
     return np.hstack(found), np.array(static)
 

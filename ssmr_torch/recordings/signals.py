@@ -44,7 +44,8 @@ def noise(recorded: Recorded) -> Finding:
     severity = graded(share, NOISE, LOUD) if not found.bound else GOOD if share <= NOISE else LOOK
     remedy = "" if severity == GOOD else (f"State it to the fit, module.noise_std={std:.2g}, or measure more quietly."
                                           if not found.bound else "Record some seconds at rest to tell it.")
-    numbers = {"std_m": found.std.tolist(), "share": share, "rounding_m": found.step.tolist(), "bound": bool(found.bound)}
+    numbers = {"std_m": found.std.tolist(), "share": share, "rounding_m": found.step.tolist(),
+               "bound": bool(found.bound)}
     return Finding("noise", severity, said, remedy, numbers)
 
 
@@ -64,8 +65,8 @@ def delay(recorded: Recorded) -> Finding:
         return Finding(subject, GOOD, "The robot answers a command at the next sample: no delay.", "", numbers, curves)
     if found.samples < 0:
         return Finding(subject, LOOK, f"The robot moves {-found.samples} samples before the command.",
-                       "Inputs are logged late, or a controller answers the robot: shift input rows, so that input[k] is "
-                       "held from observation[k] on.", numbers, curves)
+                       "Inputs are logged late, or a controller answers the robot: shift input rows, so that input[k] "
+                       "is held from observation[k] on.", numbers, curves)
     return Finding(subject, LOOK if found.samples * step < 0.2 else MISSING, said,
                    f"Shift the inputs by {found.samples} rows, or give the model as many delays.", numbers, curves)
 
@@ -84,8 +85,8 @@ def dither(recorded: Recorded) -> Finding:
     above = "" if fast is None else f"; {100 * fast:.2g} % of their power is faster than the fastest slow mode"
     said = f"The past of the inputs leaves {100 * share:.2g} % of their range of the next one open{above}."
     severity = graded(-share, -UNFORESEEN, -TOO_SMOOTH)
-    remedy = "" if severity == GOOD else ("The immediate response to an input is hardly told: add dither, N(0, 2.5 % of "
-                                          "the range) every 20 ms.")
+    remedy = "" if severity == GOOD else ("The immediate response to an input is hardly told: add dither, N(0, 2.5 % "
+                                          "of the range) every 20 ms.")
     return Finding(subject, severity, said, remedy, numbers,
                    {"frequencies": frequencies, "power": power, "mode": cut})
 

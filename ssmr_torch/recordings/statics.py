@@ -41,15 +41,17 @@ def drift(recorded: Recorded) -> Finding:
     numbers = {"within_m": float(within.max()), "within_error_m": float(sure.max() / CERTAIN),
                "between_m": float(apart.max()), "between_error_m": float(doubt.max())}
     between = f" and by {millimetres(apart.max())} (± {millimetres(doubt[apart.argmax()])}) between runs"
-    said = (f"The position drifts by {millimetres(within.max())} (± {millimetres(sure[within.argmax()] / CERTAIN)}) within "
-            f"a run{between if len(within) > 1 else ''}.")
-    least = MATTERS * recorded.reach
+    least_sure = millimetres(sure[within.argmax()] / CERTAIN)
+    said = (f"The position drifts by {millimetres(within.max())} (± {least_sure}) within a "
+            f"run{between if len(within) > 1 else ''}.")
+    least, curves = MATTERS * recorded.reach, {"slopes": sizes, "errors": errors}
     if (within > np.maximum(sure, least)).any() or (apart > np.maximum(2 * CERTAIN * doubt, least)).any():
-        return Finding(subject, LOOK, said, "Measure each run from the robot's rest at its start, and let the camera and "
-                       "the robot warm up.", numbers, {"slopes": sizes, "errors": errors, "offsets": offsets})
+        return Finding(subject, LOOK, said, "Measure each run from the robot's rest at its start, and let the camera "
+                                            "and "
+                       "the robot warm up.", numbers, curves)
     if sure.max() > DOUBTFUL * recorded.reach:
-        return Finding(subject, UNTOLD, said, UNEXPLAINED, numbers)
-    return Finding(subject, GOOD, said, "", numbers, {"slopes": sizes, "errors": errors, "offsets": offsets})
+        return Finding(subject, UNTOLD, said, UNEXPLAINED, numbers, curves)
+    return Finding(subject, GOOD, said, "", numbers, curves)
 
 
 def neutral(recorded: Recorded) -> Finding:
@@ -67,7 +69,8 @@ def neutral(recorded: Recorded) -> Finding:
     found = response(runs, recorded.modes, lambda run, *_: {"constant": np.ones((run.length, 1))},
                      recorded.delay.samples or 0) if runs else None
     if found is None:
-        return Finding(subject, UNTOLD, f"No controlled run is long enough; {signed} of {u.shape[1]} inputs are signed.",
+        return Finding(subject, UNTOLD, f"No controlled run is long enough; {signed} of {u.shape[1]} inputs are "
+                                        "signed.",
                        "Record a controlled run that begins at rest under zero input.", numbers)
     offset, error = found.coefficients["constant"][0], found.errors["constant"][0]
     away, doubt = float(np.linalg.norm(offset)), float(np.linalg.norm(error))
@@ -76,27 +79,31 @@ def neutral(recorded: Recorded) -> Finding:
     said = (f"Without input the robot rests {millimetres(away)} (± {millimetres(doubt)}) from zero; {signed} of "
             f"{u.shape[1]} inputs are signed.")
     if away > max(CERTAIN * doubt, 3 * MATTERS * recorded.reach):
-        return Finding(subject, LOOK, said, "Give the position under zero input as rest, or subtract the input under which "
-                       f"it rests, about {np.round(shift, 3).tolist()}.", numbers)
+        return Finding(subject, LOOK, said, "Give the position under zero input as rest, or subtract the input under "
+                       f"which it rests, about {np.round(shift, 3).tolist()}.", numbers)
     if CERTAIN * doubt > DOUBTFUL * recorded.reach:
         return Finding(subject, UNTOLD, said, UNEXPLAINED, numbers)
     return Finding(subject, GOOD, said, "", numbers)
 
 
-def turned(u: np.ndarray) -> np.ndarray:
-    """(T, m) the direction, −1 or 1, in which each input moved last by more than `TURNS` of its range."""
-    directions = np.zeros_like(u)
+def turned(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(T, m) the direction, −1 or 1, in which each input moved last by more than `TURNS` of its range, and (T, m)
+    whether that is clear: not while it turns, and as long after that.
+    """
+    directions, clear = np.zeros_like(u), np.ones(u.shape, dtype=bool)
     for column in range(u.shape[1]):
         signal, step = u[:, column], TURNS * np.ptp(u[:, column])
-        extreme, direction = signal[0], 0.0
-        for k, value in enumerate(signal if step > 0 else ()):
-            if direction >= 0 and value > extreme or direction <= 0 and value < extreme:
-                direction = direction or (np.sign(value - extreme) if abs(value - extreme) > step else 0.0)
-                extreme = value if direction else extreme
-            elif abs(value - extreme) > step:
-                direction, extreme = -direction or np.sign(value - extreme), value
+        best, direction = 0, 0.0
+        for k in range(len(signal) if step > 0 else 0):
+            beyond = signal[k] - signal[best]
+            if direction and beyond * direction >= 0:
+                best = k
+            elif abs(beyond) > step:
+                direction = np.sign(beyond)
+                clear[best:2 * k - best, column] = False
+                best = k
             directions[k, column] = direction
-    return directions
+    return directions, clear
 
 
 def friction(recorded: Recorded) -> Finding:
@@ -107,9 +114,14 @@ def friction(recorded: Recorded) -> Finding:
                        "Record inputs that go slowly there and back.", {"width": None})
     period = recorded.modes.memory
     slow = [run for run in runs if _slow_reversals(run, period) >= REVERSALS]
-    found = response(slow, recorded.modes, lambda run, *_: {
-        "constant": np.ones((run.length, 1)), "direction": turned(run.input),
-        "speed": np.gradient(run.input, run.timestep, axis=0)}, recorded.delay.samples or 0) if slow else None
+    lags = not _one_speed(slow)  # at one speed a lag and a loop look the same
+
+    def more(run: Trajectory, *_) -> dict:
+        speed = {"speed": np.gradient(run.input, run.timestep, axis=0)} if lags else {}
+        return {"constant": np.ones((run.length, 1)), "direction": turned(run.input)[0]} | speed
+
+    found = response(slow, recorded.modes, more, recorded.delay.samples or 0,
+                     where=lambda run: turned(run.input)[1].all(axis=1)) if slow else None
     if found is None:
         return Finding(subject, UNTOLD, f"No input goes one way for {period:.2g} s, and back, often enough.",
                        "Record inputs that go slowly there and back.", {"width": None})
@@ -118,8 +130,8 @@ def friction(recorded: Recorded) -> Finding:
     worst = int(np.argmax(sizes - CERTAIN * doubts))
     width, doubt = float(sizes[worst] / recorded.reach), float(doubts[worst] / recorded.reach)
     numbers = {"width": width, "width_error": doubt, "widths_m": sizes.tolist()}
-    said = (f"The way back lies {millimetres(sizes[worst])} beside the way there, {100 * width:.2g} % (± {100 * doubt:.1g} "
-            "%) of the reach.")
+    said = (f"The way back lies {millimetres(sizes[worst])} beside the way there, {100 * width:.2g} % (± "
+            f"{100 * doubt:.1g} %) of the reach{'' if lags else '; at one speed, part of it may be a lag'}.")
     if width > max(CERTAIN * doubt, 2 * MATTERS):
         return Finding(subject, LOOK, said, "No model of the inputs alone explains this: give the model delays, more "
                        "recordings that visit the same inputs from both sides, or less friction.", numbers)
@@ -128,9 +140,20 @@ def friction(recorded: Recorded) -> Finding:
     return Finding(subject, GOOD, said, "", numbers)
 
 
+def _one_speed(runs: list[Trajectory]) -> bool:
+    """Whether inputs go to and fro at one speed, so that their speed and their direction are the same signal."""
+    if not runs:
+        return False
+    speed = np.concatenate([np.gradient(run.input, axis=0) for run in runs])
+    direction = np.concatenate([turned(run.input)[0] for run in runs])
+    moving = (np.std(speed, axis=0) > 0) & (np.std(direction, axis=0) > 0)
+    return any(abs(np.corrcoef(speed[:, column], direction[:, column])[0, 1]) > 0.97
+               for column in np.flatnonzero(moving))
+
+
 def _slow_reversals(run: Trajectory, period: float) -> int:
     """How often inputs turn after having moved one way for `period` s, with the least of all inputs that move."""
-    directions = turned(run.input)
+    directions = turned(run.input)[0]
     counts = []
     for column in directions.T:
         turns = np.flatnonzero(np.diff(column)) + 1
