@@ -144,11 +144,16 @@ def _one_speed(runs: list[Trajectory]) -> bool:
     """Whether inputs go to and fro at one speed, so that their speed and their direction are the same signal."""
     if not runs:
         return False
-    speed = np.concatenate([np.gradient(run.input, axis=0) for run in runs])
-    direction = np.concatenate([turned(run.input)[0] for run in runs])
-    moving = (np.std(speed, axis=0) > 0) & (np.std(direction, axis=0) > 0)
-    return any(abs(np.corrcoef(speed[:, column], direction[:, column])[0, 1]) > 0.97
-               for column in np.flatnonzero(moving))
+    for column in range(runs[0].input.shape[1]):
+        pairs = []
+        for run in runs:
+            directions, clear = turned(run.input)
+            speed = np.gradient(run.input[:, column])
+            pairs.append(np.column_stack([speed, directions[:, column]])[clear[:, column]])
+        speed, direction = np.concatenate(pairs).T
+        if np.std(speed) > 0 and np.std(direction) > 0 and abs(np.corrcoef(speed, direction)[0, 1]) > 0.97:
+            return True
+    return False
 
 
 def _slow_reversals(run: Trajectory, period: float) -> int:

@@ -85,4 +85,4 @@ def test_an_input_has_turned_when_it_went_back_by_a_twentieth_of_its_range():
                         np.linspace(1, 0, 100)])
     directions, clear = (each[:, 0] for each in turned(u[:, None]))
     assert (directions[10:120] == 1).all() and (directions[130:] == -1).all()
-    assert clear[60:110].all() and not clear[119:125].any() and clear[140:].all()
+    assert clear[60:110].all() and not clear[121:125].any() and clear[140:].all()
