@@ -9,9 +9,10 @@ import numpy as np
 
 from ssmr_torch.trajectory import Trajectory
 
-EARLIEST, LATEST = -3, 60   # samples
+EARLIEST, LATEST = -40, 40  # samples
 PAST = 6                    # outputs that the prediction knows
-AHEAD = (1, 2, 4, 8)        # samples that it looks ahead
+AHEAD = (1, 3, 8)           # samples that it looks ahead
+ROWS = 8000
 SIGNIFICANT = 0.005         # of the residual that the inputs of one lag must explain
 ONSET = 0.1                 # of what the most telling lag explains
 FLOOR = 1e-12               # of the motion, that always remains
@@ -60,7 +61,7 @@ def _nested(runs: Sequence[Trajectory], ahead: int, lags: np.ndarray) -> tuple[n
     for run in runs:
         first, last = lags[-1] + PAST + ahead, run.length + min(lags[0], 0) - 1
         rows = np.arange(first, last)  # of the target
-        every = max(1, sum(each.length for each in runs) // 12000)
+        every = max(1, sum(each.length for each in runs) // ROWS)
         rows = rows[::every]
         y = run.observation / scale
         past = y[(rows - ahead)[:, None] - np.arange(PAST)].reshape(len(rows), -1)

@@ -48,7 +48,7 @@ def test_rounding_is_seen_with_its_step(robot):
     np.testing.assert_allclose(measurement_noise(rounded).step, 1e-5, rtol=1e-6)
 
 
-@pytest.mark.parametrize("late", [0, 1, 5, 30, -1])
+@pytest.mark.parametrize("late", [0, 1, 5, 30, -1, -30])
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 @pytest.mark.parametrize("inputs", ["held", "dithered"])
 def test_a_delay_is_recovered_within_a_sample(robot, late, noise, inputs):
