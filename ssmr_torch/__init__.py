@@ -6,6 +6,7 @@ Plant ─collect→ Trajectories ─fit→ Model ─export→ Artifact ─→ Co
 
     data = ssmr.read("robot.yaml")                 # recordings by a card; ssmr.load("trajectories.h5"); or from arrays:
     data = ssmr.trajectories(decays=[(t, y, u), …], controlled=[(t, y, u), …], test=[(t, y, u)])
+    print(ssmr.check(data))                        # what the recordings lack, before any fit
     model = ssmr.fit(data, "ssmr", state_dim=6)    # a TrainedModel
     print(ssmr.score(model, data))                 # horizons × (model, persistence, constant velocity)
     outputs = model.predict(window, inputs)
@@ -29,17 +30,17 @@ if TYPE_CHECKING:
     from ssmr_torch.control.mpc import ModelPredictiveController
     from ssmr_torch.control.settings import PredictiveControlSettings
     from ssmr_torch.data.arrays import trajectories
-    from ssmr_torch.face import load, read, simulate
+    from ssmr_torch.face import check, load, read, simulate
     from ssmr_torch.fitting.by_kind import fit
     from ssmr_torch.score_table import score
     from ssmr_torch.trained_model import TrainedModel
     from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 __all__ = ["ClosedLoopRecord", "ModelPredictiveController", "PredictiveControlSettings", "TrainedModel", "Trajectory",
-           "TrajectoryDataset", "fit", "load", "plants", "read", "score", "simulate", "tasks", "trajectories"]
+           "TrajectoryDataset", "check", "fit", "load", "plants", "read", "score", "simulate", "tasks", "trajectories"]
 
 __getattr__, __dir__ = lazily(__name__, {
-    **{name: f"ssmr_torch.face:{name}" for name in ("load", "read", "simulate")},
+    **{name: f"ssmr_torch.face:{name}" for name in ("check", "load", "read", "simulate")},
     "trajectories": "ssmr_torch.data.arrays:trajectories", "fit": "ssmr_torch.fitting.by_kind:fit",
     "score": "ssmr_torch.score_table:score", "TrainedModel": "ssmr_torch.trained_model:TrainedModel",
     "Trajectory": "ssmr_torch.trajectory:Trajectory", "TrajectoryDataset": "ssmr_torch.trajectory:TrajectoryDataset",

@@ -10,6 +10,7 @@ from ssmr_torch.lazy import found
 
 if TYPE_CHECKING:
     from ssmr_torch.closed_loop import ClosedLoopRecord
+    from ssmr_torch.recordings.report import RecordingsReport
     from ssmr_torch.trained_model import TrainedModel
     from ssmr_torch.trajectory import TrajectoryDataset
 
@@ -35,6 +36,24 @@ def read(card: str | Path) -> TrajectoryDataset:
     FileNotFoundError: no card at robot.yaml; write one as docs/data.md shows
     """
     return found("ssmr_torch.data.readers:custom")(card)
+
+
+def check(data: TrajectoryDataset) -> RecordingsReport:
+    """What recordings lack, before any fit: decays, range of amplitude and speed, dither, held-out runs, noise,
+    sampling, delay, friction, drift, the neutral input, each with a number and a remedy. As `ssmr check` does.
+
+    data: of `read`, `load` or `trajectories`. The report prints itself, `report["delay"].numbers` are plain values in
+    SI units, `report.figures(DIRECTORY)` draws what was found. Nothing is changed, and no file is written.
+    Raises TypeError for what is no dataset.
+
+    >>> import numpy as np, ssmr_torch
+    >>> t = np.arange(0.0, 3.0, 0.01)
+    >>> swing = 8.0 * np.exp(-2.0 * t) * np.cos(9.0 * t)
+    >>> report = check(ssmr_torch.trajectories(decays=[(t, swing, 0.0 * t)], units={"length": "mm"}))
+    >>> print(report["decays"].said)
+    1 decay; in its last tenth it moves by at most 0.48 % of its size, and its end lies 0.00444 mm from rest.
+    """
+    return found("ssmr_torch.recordings.report:check")(data)
 
 
 def load(path: str | Path) -> TrajectoryDataset | TrainedModel | ClosedLoopRecord:

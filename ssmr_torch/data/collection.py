@@ -37,7 +37,7 @@ def collect(plant: Plant, *, decays: int | Sequence[Release] = 40, validation_de
             progress: bool = True) -> TrajectoryDataset:
     """Record decays and controlled runs, each from rest.
 
-    A decay starts when its excitation lets go and lasts `decay_duration` s with the lowest input. decays: how
+    A decay starts when its excitation lets go and lasts `decay_duration` s with the resting input. decays: how
     many for training, all excited by `release`, or one excitation each; validation and test use `release`.
     noise_std: white measurement noise, m. The same seed gives the same data; a trajectory's random numbers
     follow from the seed and its name, not from the other trajectories.

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, is_dataclass
 import numpy as np
 
 from ssmr_torch.data import excitation as signals
-from ssmr_torch.data.excitation import Excitation, Release
+from ssmr_torch.data.excitation import Excitation, Release, resting_input
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.trajectory import KINDS, SPLITS
 
@@ -94,9 +94,11 @@ class RecordingPlan:
         with naming(self):
             inputs = self.excitation(np.random.default_rng(self.seeds(seed)[0]), samples, plant.timestep,
                                      plant.input_bounds)
-        if self.kind == "decay" and (inputs[first:] != plant.input_bounds[0]).any():
-            raise ValueError(f"{self.name}: the inputs reach {inputs[first:].max():g} {plant.input_unit} after "
-                             f"the decay starts at {self.start} s; expected the lowest input from there on")
+        away = np.abs(inputs[first:] - resting_input(plant.input_bounds)).max() if self.kind == "decay" else 0.0
+        if away > 0:
+            raise ValueError(f"{self.name}: the inputs are up to {away:g} {plant.input_unit} away from rest after "
+                             f"the decay starts at {self.start} s; expected the resting input from there on "
+                             "(0, clipped into the bounds)")
         return inputs
 
 
@@ -149,6 +151,8 @@ def _described_excitation(excitation: Excitation, signal: np.ndarray) -> dict:
     settings = asdict(excitation) if is_dataclass(excitation) else {}
     described = {"class": type(excitation).__qualname__,
                  **{key: np.asarray(value).tolist() for key, value in settings.items()}}
+    if is_dataclass(inner := getattr(excitation, "excitation", None)):
+        described["excitation"] = _described_excitation(inner, signal)
     if type(excitation).__module__ == signals.__name__:
         return described
     return described | {"class": _path(excitation), "signal": hashlib.sha256(signal.tobytes()).hexdigest()[:16]}

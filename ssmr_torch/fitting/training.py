@@ -15,6 +15,7 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 
 from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.data.derivatives import Stencil
+from ssmr_torch.data.refusals import refuse_still_inputs
 from ssmr_torch.fitting.checkpoints import check_resumable, load_model, save_model
 from ssmr_torch.fitting.constructors import check_call, default_of, sized_model
 from ssmr_torch.fitting.diagnosis import diagnose
@@ -168,12 +169,10 @@ def data_card(dataset: TrajectoryDataset, training: tuple) -> dict:
 
     Raises ValueError when an input never changes.
     """
-    outputs, inputs = (np.stack(ranges) for ranges in zip(*(run.extremes() for run in training)))
+    extremes = [run.extremes() for run in training]
+    refuse_still_inputs(dataset, extremes)
+    outputs, inputs = (np.stack(ranges) for ranges in zip(*extremes))
     lowest, highest = inputs[:, 0].min(0), inputs[:, 1].max(0)
-    still = [f"{name} ({level:g})" for name, level, top in zip(dataset.input_names, lowest, highest) if level == top]
-    if still:
-        raise ValueError(f"inputs that never change in the training data: {', '.join(still)}; their effect cannot be "
-                         "learned, so leave these columns out or record runs that use them")
     return {"output_names": list(dataset.output_names), "input_names": list(dataset.input_names),
             "input_unit": dataset.input_unit, "sampling_time": dataset.timestep, "rest": dataset.rest.tolist(),
             "input_range": [lowest.tolist(), highest.tolist()],

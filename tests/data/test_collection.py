@@ -10,8 +10,10 @@ from omegaconf import OmegaConf
 
 from ssmr_torch.data.collection import ControlledRun, RecordingPlan, collect, record
 from ssmr_torch.data.excitation import (
+    Dithered,
     Ramp,
     RandomOnOffRamp,
+    RandomSteps,
     SetPoints,
     SmoothRandom,
     latin_hypercube_ramps,
@@ -150,17 +152,35 @@ def test_an_impossible_plan_is_refused_before_the_plant_moves(changes):
 
 def test_a_decay_whose_inputs_have_not_let_go_is_refused():
     plan = RecordingPlan("pulled", "decay", "train", SetPoints(((0.5, 0.0, 0.0, 0.0),)), 1.0, start=0.5)
-    with pytest.raises(ValueError, match="lowest input"):
+    with pytest.raises(ValueError, match="expected the resting input"):
         record(SlowManifold(), plan, seed=0)
 
 
 @pytest.mark.slow
-def test_the_default_configuration_records_forty_decays_and_the_published_number_of_transitions():
+def test_the_default_configuration_records_the_published_amount_and_two_tests_for_control():
     plant = hydra.utils.instantiate(OmegaConf.load(CONF / "plant" / "slow_manifold.yaml"))
     recipe = hydra.utils.instantiate(OmegaConf.load(CONF / "excitation" / "default.yaml"))
     dataset = recipe(plant, progress=False)
     assert len(dataset.select("train", "decay")) == 40
-    assert sum(t.length for t in dataset.select(kind="controlled")) == 8700
+    assert sum(t.length for t in dataset.select(kind="controlled")) == 8700 + 2000
     assert all(dataset.select(split, kind) for split in ("train", "validation", "test")
                for kind in ("decay", "controlled"))
     assert max(np.abs(t.observation[-1]).max() for t in dataset.select(kind="decay")) < 1e-4
+
+
+def test_decays_of_a_plant_with_signed_inputs_begin_on_both_sides_and_have_no_input():
+    ramps = latin_hypercube_ramps(6, 4, seed=0)
+    plans = [RecordingPlan(f"d{k}", "decay", "train", ramp, 0.2, start=1.0) for k, ramp in enumerate(ramps)]
+    plant = SlowManifold()
+    signed = type("Signed", (), {"input_bounds": np.array([[-1.0] * 4, [1.0] * 4]), "timestep": plant.timestep,
+                                 "input_unit": "1"})()
+    signals = np.array([plan.signal(signed, seed=0) for plan in plans])
+    np.testing.assert_array_equal(signals[:, 100:], 0.0)
+    assert (signals[:, 99] > 0.2).any(axis=0).all() and (signals[:, 99] < -0.2).any(axis=0).all()
+
+
+def test_what_is_dithered_is_told_by_its_whole_excitation():
+    plans = [small(controlled=[ControlledRun("one", Dithered(inner), 0.5)]).provenance["plans"][-1]
+             for inner in (SmoothRandom(share=0.5), RandomSteps(share=0.5))]
+    assert [plan["excitation"]["class"] for plan in plans] == ["Dithered", "Dithered"]
+    assert [plan["excitation"]["excitation"]["class"] for plan in plans] == ["SmoothRandom", "RandomSteps"]

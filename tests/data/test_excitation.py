@@ -5,6 +5,7 @@ import pytest
 
 from ssmr_torch.data.excitation import (
     Chirp,
+    Dithered,
     Ramp,
     RandomOnOffRamp,
     RandomSteps,
@@ -13,15 +14,19 @@ from ssmr_torch.data.excitation import (
     SmoothRandom,
     latin_hypercube_ramps,
     latin_hypercube_set_points,
+    mpc_like,
+    resting_input,
 )
 
-BOUNDS = np.array([[0.0, -1.0, 0.5], [1.5, 1.0, 4.0]])
+BOUNDS = np.array([[0.0, 0.0, 0.5], [1.5, 1.0, 4.0]])
+SIGNED = np.array([[-1.0, -2.0, -3.0, 0.0], [1.0, 6.0, -1.0, 2.0]])
 TIMESTEP = 0.01
 EXCITATIONS = [Ramp((0.2, 0.0, 1.0)), RandomOnOffRamp(), RandomOnOffRamp(share=0.4, probability=0.9),
                SmoothRandom(), SmoothRandom(0.25, share=0.6, lowest=0.0), RandomSteps(0.3),
                Chirp(), Chirp(0.5, 10.0, share=0.7),
                SetPoints(((0.0, 0.5, 1.0), (1.0, 0.0, 0.2)), hold=0.7), *latin_hypercube_ramps(2, 3, seed=0),
-               latin_hypercube_set_points(5, 3, seed=0, hold=0.5)]
+               latin_hypercube_set_points(5, 3, seed=0, hold=0.5), Dithered(SmoothRandom()),
+              Dithered(RandomSteps(0.3), share=0.4, hold=0.03), mpc_like(Chirp())]
 
 
 def draw(excitation, samples=400, seed=0, bounds=BOUNDS):
@@ -133,7 +138,8 @@ def test_a_chirp_sweeps_from_slow_to_fast():
     lambda: RandomOnOffRamp(share=1.1), lambda: RandomOnOffRamp(probability=0.0), lambda: SmoothRandom(0.0),
     lambda: SmoothRandom(lowest=1.0), lambda: RandomSteps(hold=-1.0), lambda: Chirp(2.0, 1.0),
     lambda: SetPoints(((0.0, 2.0),)), lambda: latin_hypercube_set_points(4, 2, seed=0, share=1.5),
-    lambda: latin_hypercube_set_points(0, 2, seed=0),
+    lambda: latin_hypercube_set_points(0, 2, seed=0), lambda: Ramp((0.4,), share=0.3),
+    lambda: Dithered(SmoothRandom(), share=0.0), lambda: Dithered(SmoothRandom(), hold=0.0), lambda: Dithered(0.5),
     lambda: latin_hypercube_ramps(-1, 2, seed=0), lambda: latin_hypercube_ramps(4, 2, seed=0, share=0.0)])
 def test_impossible_settings_are_refused_when_built(build):
     with pytest.raises(ValueError, match="expected"):
@@ -145,3 +151,57 @@ def test_impossible_settings_are_refused_when_built(build):
 def test_a_signal_that_does_not_fit_the_robot_is_refused(excitation):
     with pytest.raises(ValueError):
         draw(excitation)
+
+
+def test_signed_inputs_rest_at_zero_and_are_released_to_it_exactly():
+    np.testing.assert_array_equal(resting_input(SIGNED), [0.0, 0.0, -1.0, 0.0])
+    for excitation in (RandomOnOffRamp(0.7), *latin_hypercube_ramps(3, 4, seed=0, share=0.3),
+                       Ramp((0.0, 0.1, 1.0, 0.3))):
+        signal = draw(excitation, bounds=SIGNED)
+        np.testing.assert_array_equal(signal[100:], np.tile(resting_input(SIGNED), (300, 1)))
+        np.testing.assert_allclose(signal[0], resting_input(SIGNED), atol=1e-12)
+
+
+def test_an_input_that_is_off_stays_at_rest():
+    ramps = np.array([draw(RandomOnOffRamp(0.7), seed=seed, bounds=SIGNED)[99] for seed in range(200)])
+    off = (ramps == resting_input(SIGNED)).mean(axis=0)
+    np.testing.assert_allclose(off, 1 - 0.5 / (1 - 0.5 ** 4), atol=0.1)
+
+
+@pytest.mark.parametrize("excitation", [SmoothRandom(share=0.5), RandomSteps(0.1, share=0.5), Chirp(share=0.5),
+                                        latin_hypercube_set_points(60, 4, seed=1, share=0.5, hold=0.1)], ids=repr)
+def test_a_share_of_a_signed_range_lies_on_both_sides_of_its_rest(excitation):
+    signal = draw(excitation, samples=4000, bounds=SIGNED)
+    np.testing.assert_allclose(signal.min(axis=0), [-0.5, -1.0, -2.0, 0.0], atol=0.06)
+    np.testing.assert_allclose(signal.max(axis=0), [0.5, 3.0, -1.0, 1.0], atol=0.06)
+
+
+def test_ramps_pull_signed_inputs_in_both_directions_evenly():
+    levels = [draw(ramp, bounds=SIGNED)[99] for ramp in latin_hypercube_ramps(40, 4, seed=0, share=0.5)]
+    assert (np.array(levels)[:, 0] > 0).sum() == 20 and (np.array(levels)[:, 1] > 0).sum() == 30
+
+
+def test_a_smooth_signed_signal_does_not_dwell_at_one_end():
+    signal = draw(SmoothRandom(), samples=20000, bounds=SIGNED)[:, 0]
+    assert abs(signal.mean()) < 0.05 and (signal == -1.0).mean() < 0.1
+
+
+def test_dither_is_white_of_its_share_on_the_same_signal_and_changes_after_its_hold():
+    bounds, smooth = np.array([[0.0, -2.0], [1e3, 6.0]]), Chirp(share=0.5)
+    steps = (draw(Dithered(smooth), samples=40000, bounds=bounds) - draw(smooth, samples=40000, bounds=bounds))
+    steps = (steps / (bounds[1] - bounds[0]))[5000:]
+    clear = (draw(smooth, samples=40000, bounds=bounds) > 100)[5000:, 0]  # of the lower bound
+    np.testing.assert_allclose(steps[::2][clear[::2]], steps[1::2][clear[::2]], atol=1e-12)
+    drawn = steps[::2][clear[::2]]
+    np.testing.assert_allclose(drawn.std(axis=0), 0.025, rtol=0.03)
+    assert abs(np.corrcoef(drawn[1:, 1], drawn[:-1, 1])[0, 1]) < 0.03
+    assert abs(np.corrcoef(drawn.T)[0, 1]) < 0.03
+
+
+def test_inputs_like_a_controllers_are_twice_as_strongly_dithered():
+    assert mpc_like(SmoothRandom()) == Dithered(SmoothRandom(), share=0.05, hold=0.02)
+
+
+def test_a_dithered_run_ends_where_its_excitation_does():
+    assert Dithered(SetPoints(((0.1,), (0.2,)), hold=2.0)).duration == 4.0
+    assert not hasattr(Dithered(SmoothRandom()), "duration")

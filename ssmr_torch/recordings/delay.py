@@ -1,0 +1,81 @@
+"""How long after a command the robot moves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ssmr_torch.trajectory import Trajectory
+
+EARLIEST, LATEST = -40, 40  # samples
+PAST = 6                    # outputs that the prediction knows
+AHEAD = (1, 3, 8)           # samples that it looks ahead
+ROWS = 8000
+SIGNIFICANT = 0.005         # of the residual that the inputs of one lag must explain
+ONSET = 0.1                 # of what the most telling lag explains
+FLOOR = 1e-12               # of the motion, that always remains
+LAST = 4                    # lags that stand for all that is earlier, and tell nothing of their own
+CHANCE = 6.0                # times the mean of what an input explains by chance
+
+
+class Delay(NamedTuple):
+    """samples: between a command and the first motion, 0 where observation[k + 1] feels input[k]; None if it cannot be
+    told. gain: at each lag, how many times smaller the residual is with the inputs up to there (lags, ratio).
+    """
+
+    samples: int | None
+    lags: np.ndarray
+    residual: np.ndarray
+
+
+def command_delay(runs: Sequence[Trajectory]) -> Delay:
+    """The smallest lag at which inputs matter: y[k+s] is regressed on the past of y and on inputs u[k+s-1-j].
+
+    The inputs enter from the earliest to the latest, each lag j as a block; the residuals of all these nested
+    regressions come from one QR decomposition. The delay is the smallest lag that still lowers the residual by more
+    than `SIGNIFICANT`, than chance, and than `ONSET` of the most telling lag; of several steps s ahead the smallest
+    delay counts, since noise only hides it.
+    """
+    runs = [run for run in runs if run.length > LATEST + 4 * PAST and np.ptp(run.input, axis=0).max() > 0]
+    lags = np.arange(EARLIEST, LATEST + 1)
+    if not runs:
+        return Delay(None, lags, np.full(len(lags), np.nan))
+    best, shown = None, None
+    for ahead in AHEAD:
+        residual, chance = _nested(runs, ahead, lags)
+        drop = (residual[1:] / residual[:-1] - 1)[:-LAST]  # what the inputs of lag j explain
+        matters = np.flatnonzero(drop > max(SIGNIFICANT, chance, ONSET * drop.max()))
+        found = None if not len(matters) else int(lags[matters[0]])
+        if found is not None and (best is None or found < best):
+            best, shown = found, residual
+        shown = residual if shown is None else shown
+    return Delay(best, lags, shown / shown[0])
+
+
+def _nested(runs: Sequence[Trajectory], ahead: int, lags: np.ndarray) -> tuple[np.ndarray, float]:
+    """Residual with the inputs of lag j and later, for each j, and what chance alone would change it by."""
+    scale = np.std(np.concatenate([run.observation for run in runs]), axis=0)
+    known, targets = [], []
+    for run in runs:
+        first, last = lags[-1] + PAST + ahead, run.length + min(lags[0], 0) - 1
+        rows = np.arange(first, last)  # of the target
+        every = max(1, sum(each.length for each in runs) // ROWS)
+        rows = rows[::every]
+        y = run.observation / scale
+        past = y[(rows - ahead)[:, None] - np.arange(PAST)].reshape(len(rows), -1)
+        commands = [run.input[rows - 1 - lag] for lag in lags[::-1]]
+        known.append(np.hstack([past, np.ones((len(rows), 1)), *commands]))
+        targets.append(y[rows] - y[rows - ahead])
+    known, targets = np.concatenate(known), np.concatenate(targets)
+    known = known + 1e-9 * np.std(known, axis=0) * np.random.default_rng(0).normal(size=known.shape)
+    width, inputs = known.shape[1], runs[0].input.shape[1]
+    if len(known) < 2 * width:
+        return np.ones(len(lags)), np.inf
+    triangle = np.linalg.qr(np.hstack([known, targets]), mode="r")
+    explained = np.sum(triangle[:width, width:] ** 2, axis=1)
+    rest = np.sum(triangle[width:, width:] ** 2) + FLOOR * np.sum(targets ** 2)
+    remaining = rest + np.sum(explained) - np.cumsum(explained)
+    before = width - inputs * len(lags)
+    return remaining[before + inputs - 1::inputs][::-1], CHANCE * inputs / len(known)
