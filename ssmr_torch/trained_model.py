@@ -85,8 +85,8 @@ class TrainedModel(DataSheet):
 
     @property
     def scores(self) -> dict[str, float]:
-        """Open-loop errors of the validation and test runs at the fit, m, by name."""
-        return dict(self.card.get("scores") or {})
+        """Open-loop errors of the validation and test runs at the fit, m, by name; infinite where a rollout diverged."""
+        return _finite(self.card.get("scores"))
 
     @property
     def delays(self) -> int:

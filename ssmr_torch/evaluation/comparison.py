@@ -143,7 +143,10 @@ def _row(name: str, score: OpenLoopScore, marked: Mapping[str, str], cell: Calla
 
 
 def _share(part: HorizonScore) -> str:
-    return "" if part.nmte is None or not math.isfinite(part.nmte) else f" [{100 * part.nmte:.2g} %]"
+    if part.nmte is None or not math.isfinite(part.nmte):
+        return ""
+    percent = 100 * part.nmte
+    return f" [{percent:.2g} %]" if percent < 10 else f" [{percent:.0f} %]"
 
 
 def _setting(score: OpenLoopScore) -> tuple:
