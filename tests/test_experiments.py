@@ -229,7 +229,7 @@ def test_a_search_goes_on_where_it_was_never_sees_the_test_runs_and_leaves_the_b
     assert f"fit.closed_form.ridge.default={best.fit.closed_form.ridge.default}" in rows[0]["overrides"]
     assert (line / "search" / "sweep.svg").is_file()
     short = run(*command[:-1], "hydra.sweep.dir=short", "search_minutes=1.0e-4", cwd=line)
-    assert "the 0.0001 minutes are over after 1 trials" in short
+    assert "the 0.0001 CPU minutes are over after 1 trials" in short
     changed = start(*command, "model.delays=3", cwd=line)
     assert "now it is ['model.delays=3']" in changed.stderr and "Traceback" not in changed.stderr
 
