@@ -104,8 +104,12 @@ def format_groups(found: GroupedScores) -> str:
 def stored(found: GroupedScores) -> dict:
     """Plain JSON values of all scores and of each group's, with the marks of `marks`."""
     def plain(scores: Mapping[str, OpenLoopScore]) -> dict:
-        marked = marks(scores)
-        return {name: score.as_dict() | {"marks": marked[name]} for name, score in scores.items()}
+        noisy = {name: score.noisy for name, score in scores.items() if score.noisy is not None}
+        found = {name: score.as_dict() | {"marks": marked} for (name, score), marked in zip(
+            scores.items(), marks(scores).values())}
+        for name, marked in marks(noisy).items() if noisy else ():
+            found[name]["noisy"]["marks"] = marked
+        return found
 
     return {"scores": plain(found.scores), "groups": {name: plain(each) for name, each in found.groups.items()},
             "runs": dict(found.sizes)}
