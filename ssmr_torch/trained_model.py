@@ -85,7 +85,7 @@ class TrainedModel(DataSheet):
 
     @property
     def scores(self) -> dict[str, float]:
-        """Open-loop errors of the validation and test runs at the fit, m, by name; infinite where a rollout diverged."""
+        """Open-loop errors of the validation and test runs at the fit, m, by name; infinite where one diverged."""
         return _finite(self.card.get("scores"))
 
     @property

@@ -87,8 +87,8 @@ def format_table(scores: Mapping[str, OpenLoopScore]) -> str:
     widths = [max(map(len, column)) for column in zip(*rows)]
     lines = ["  ".join(cell.rjust(width) if column else cell.ljust(width)
                        for column, (cell, width) in enumerate(zip(row, widths))) for row in rows]
-    note = (f"mean RMSE in mm over n = {starts_of(first)} starts, {SHARES};\n∞: some diverged (their share, mean of the "
-            f"others); {LEGEND}")
+    note = (f"mean RMSE in mm over n = {starts_of(first)} starts, one training per model, {SHARES};\n"
+            f"∞: some diverged (their share, mean of the others); {LEGEND}")
     return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], note])
 
 

@@ -121,7 +121,7 @@ class OpenLoopScore:
         raise KeyError(f"no horizon {label!r}; there are {[score.label for score in self.horizons]}")
 
     def of_runs(self, runs: Collection[int]) -> OpenLoopScore:
-        """The same over the starts in these trajectories alone, without the horizons that none of them was drawn for."""
+        """The same over the starts in these trajectories alone, without horizons that none of them was drawn for."""
         parts = (part.of_runs(runs) for part in self.horizons)
         return replace(self, horizons=tuple(part for part in parts if part is not None),
                        noisy=None if self.noisy is None else self.noisy.of_runs(runs))

@@ -23,8 +23,8 @@ class GradientFit(ModelFit):
     with σ_k the error k steps ahead, on the first batch, of the model that the fit starts from, so that short and long
     horizons count alike. The rollouts grow from `first_share` of their horizon to all of it over the first half of the
     fit, and the learning rate falls to zero along a cosine over all of it. The fit takes `epochs` epochs or `minutes`
-    CPU minutes of this process (all its threads), whichever ends first, or ends when `patience` validations in a row bring nothing better; the best epoch is
-    kept.
+    CPU minutes of this process (all its threads), whichever ends first, or ends when `patience` validations in a row
+    bring nothing better; the best epoch is kept.
 
     learning_rate: relative to the size of each coefficient's contribution, see `table_scales`. horizon: of the
     rollouts, s; None: the data module's. frozen: names of parameters that keep their values (the chart and the

@@ -29,7 +29,8 @@ def scores(model, scored: ScoredRuns) -> dict[str, float]:
     timestep, found = forecaster.recording.timestep, {}
     horizons = {"rmse": scored.horizon} | {name: seconds for name, seconds in SHORTER.items()
                                            if seconds < scored.horizon and samples_within(seconds, timestep)}
-    for name, each in {"": forecaster.predictor, **{name: build(timestep) for name, build in BASELINES.items()}}.items():
+    baselines = {name: build(timestep) for name, build in BASELINES.items()}
+    for name, each in {"": forecaster.predictor, **baselines}.items():
         found[name] = score_horizons(Forecaster(each, forecaster.recording), tuple(horizons.values()),
                                      starts=scored.starts, seed=scored.seed, margin=forecaster.margin)
     values = {name: score.mean for name, score in zip(horizons, found[""])}

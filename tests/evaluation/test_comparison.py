@@ -38,7 +38,8 @@ def test_means_and_medians_are_in_millimetres_and_divergence_is_never_averaged_a
 
 
 def run(observation, name="", kind="controlled"):
-    return Trajectory(DT * np.arange(len(observation)), observation, np.zeros((len(observation), 1)), kind, "test", name)
+    time, inputs = DT * np.arange(len(observation)), np.zeros((len(observation), 1))
+    return Trajectory(time, observation, inputs, kind, "test", name)
 
 
 def off_by(size):

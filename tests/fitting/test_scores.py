@@ -168,7 +168,7 @@ def test_predictions_start_from_windows_with_noise_and_are_compared_with_what_wa
 
 
 def test_controlled_runs_are_what_a_fit_is_judged_by_and_decays_stand_beside_them():
-    """A model that stays is exact on the one controlled run and off by 1 on the 74 decays, which would decide a mean."""
+    """A model that stays is exact on the one controlled run and off by 1 on 74 decays, which would decide a mean."""
     def runs(kind, levels, count):
         return [Trajectory(0.1 * np.arange(len(levels)), levels[:, None], np.zeros((len(levels), 1)), kind)
                 for _ in range(count)]
