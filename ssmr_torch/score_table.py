@@ -66,7 +66,7 @@ class ScoreTable(Mapping):
         """Mean error of one model minus that of another over a horizon ("200 ms"), m, with its 95 % interval from a
         paired bootstrap over blocks of starts; where that holds zero, the two are tied.
         """
-        return difference(self._scores, self[model] and model, self[other] and other, horizon)
+        return difference(self, model, other, horizon)
 
     @property
     def _shown(self) -> dict[str, ScoreTable]:
