@@ -13,8 +13,8 @@ from ssmr_torch.experiments.entry import entry_point, save_json, save_result
 def main(config, directory):
     from ssmr_torch import artifact
     from ssmr_torch.evaluation import figures
-    from ssmr_torch.evaluation.comparison import comparison_table
-    from ssmr_torch.evaluation.open_loop import compare_open_loop, format_table
+    from ssmr_torch.evaluation.comparison import comparison_table, format_groups, stored
+    from ssmr_torch.evaluation.run_groups import compare_groups
     from ssmr_torch.evaluation.sections import prediction_figures
     from ssmr_torch.provenance import provenance
 
@@ -29,16 +29,15 @@ def main(config, directory):
         raise ValueError(f"no trajectory has split={config.split} and kind={config.kind}; "
                          f"there are {sorted({(t.split, t.kind) for t in dataset})}")
     outputs = dataset.columns(config.outputs)
-    scores = compare_open_loop(models, runs, horizons=list(config.horizons), starts=config.starts,
-                               seed=config.seed, outputs=outputs)
-    table = format_table(scores)
+    found = compare_groups(models, runs, horizons=list(config.horizons), starts=config.starts, seed=config.seed,
+                           outputs=outputs, noise=config.noise)
+    scores, table = found.scores, format_groups(found)
     (directory / "scores.txt").write_text(table + "\n")
     costs = {name: model.card.get("cost", {}) for name, model in zip(models, loaded)}
     (directory / "comparison.md").write_text(comparison_table(scores, costs) + "\n")
     origin = provenance(OmegaConf.to_container(config, resolve=True)) | {
         "artifacts": {name: model.card["sha256"] for name, model in zip(models, loaded)}, "data": dataset.provenance}
-    save_json(directory / "scores.json", {"scores": {name: score.as_dict() for name, score in scores.items()},
-                                          "provenance": origin})
+    save_json(directory / "scores.json", stored(found) | {"provenance": origin})
     for name, figure in prediction_figures(models, scores, runs, dataset.output_names, outputs).items():
         figures.save(figure, directory / f"{name}.svg")
     print(f"{table}\n{directory / 'scores.json'}")

@@ -31,6 +31,7 @@ class SweepTable(Callback):
         first = next((column for column in columns[3:] if column != "failed"), "job")
         rows.sort(key=lambda row: (row.get(first) is None, row.get(first)))
         save(directory / "sweep.csv", rows, columns)
+        standing = baselines(rows[0])
         choices = config.hydra.runtime.choices
         if choices.get("study"):
             draw_study(directory, config.study)
@@ -41,7 +42,7 @@ class SweepTable(Callback):
             if choices.get(kind) and isinstance(rows[0].get(first), float):  # else every job failed
                 note = f"Found by {kind}={choices[kind]}: {first} {rows[0][first]:.4g} in job {rows[0]['job']}."
                 save_settings(directory, rows[0], note, choices)
-        show(directory, rows, columns, first)
+        show(directory, rows, columns, first, standing)
 
 
 def results(directory: Path) -> list[dict]:
@@ -54,6 +55,17 @@ def gather(directory: Path) -> list[dict]:
     """One row per job: its number, the model's name, its overrides, its metrics, and what it cost."""
     return [{"job": result["job"], "model": result.get("name") or "", "overrides": " ".join(result["overrides"]),
              **result["metrics"], **result.get("cost", {})} for result in results(directory)]
+
+
+def baselines(row: dict) -> list[dict]:
+    """What persistence and constant velocity make from the starts of a job, under the names of its scores."""
+    found = []
+    for name in ("persistence", "constant velocity"):
+        ending = f"_{name.replace(' ', '_')}"
+        scores = {column.removesuffix(ending): value for column, value in row.items() if column.endswith(ending)}
+        if scores:
+            found.append({"job": "–", "model": name} | scores)
+    return found
 
 
 def draw_ranking(directory: Path, rows: list[dict], first: str) -> None:
@@ -116,13 +128,15 @@ def overrides_of(directory: Path, row: dict) -> list:
     return OverridesParser.create().parse_overrides(overrides)
 
 
-def show(directory: Path, rows: list[dict], columns: list[str], first: str) -> None:
-    """The table, on the terminal: of the overrides those in which the jobs differ."""
+def show(directory: Path, rows: list[dict], columns: list[str], first: str, standing: list[dict]) -> None:
+    """The table, on the terminal, with the baselines below: of the overrides those in which the jobs differ."""
     common = set.intersection(*(set(row["overrides"].split()) for row in rows)) if len(rows) > 1 else set()
     print(f"\n{len(rows)} jobs, best first by {first}: {directory / 'sweep.csv'}")
+    columns = [column for column in columns if not column.endswith(("_persistence", "_constant_velocity"))]
     print(f"  job  model  {'  '.join(columns[3:])}  overrides")
-    for row in rows:
-        values = "  ".join(f"{row.get(column):.4g}" if isinstance(row.get(column), float) else str(row.get(column))
-                           for column in columns[3:])
-        differing = " ".join(part for part in row["overrides"].split() if part not in common)
+    for row in [*rows, *standing]:
+        found = [row.get(column) for column in columns[3:]]
+        values = "  ".join(f"{each:.4g}" if isinstance(each, float) else "–" if each is None else str(each)
+                           for each in found)
+        differing = " ".join(part for part in row.get("overrides", "").split() if part not in common)
         print(f"  {row['job']:>3}  {row['model']}  {values}  {differing}")

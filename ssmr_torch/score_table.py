@@ -7,20 +7,34 @@ from collections.abc import Iterator, Mapping, Sequence
 from ssmr_torch import artifact
 from ssmr_torch import data_sheet as sheet
 from ssmr_torch.artifact import Artifact
-from ssmr_torch.evaluation.comparison import mean_and_median
-from ssmr_torch.evaluation.open_loop import HORIZONS, OpenLoopScore, compare_open_loop
+from ssmr_torch.evaluation.bootstrap import Interval
+from ssmr_torch.evaluation.comparison import (
+    CELLS,
+    LEGEND,
+    SHARES,
+    difference,
+    mean_and_median,
+    starts_of,
+    table_rows,
+)
+from ssmr_torch.evaluation.horizon_scores import OpenLoopScore
+from ssmr_torch.evaluation.open_loop import HORIZONS
+from ssmr_torch.evaluation.run_groups import GroupedScores, compare_groups
 from ssmr_torch.trained_model import TrainedModel
 from ssmr_torch.trajectory import refuse_other_data
 
 
 class ScoreTable(Mapping):
-    """Scores by model and horizon: `table["SSMR"]["200 ms"].mean` is an error in m, and so are .median and .p95.
+    """Scores by model and horizon: `table["SSMR"]["200 ms"].mean` is an error in m, and so are .median and .p95;
+    .nmte is the normalized mean trajectory error; `table["SSMR"].noisy["200 ms"]` the same with the noise of the loop.
 
-    Prints itself as a table of mean / median errors in mm.
+    groups: a table for each group of runs, by name, where there are several (decays, smooth inputs, inputs as an MPC
+    makes them, …); the table itself is over all controlled runs, or over the decays where there are no others.
+    Prints itself as a table of mean / median errors in mm, group by group.
     """
 
-    def __init__(self, scores: Mapping[str, OpenLoopScore], runs: str):
-        self._scores, self._runs = dict(scores), runs
+    def __init__(self, scores: Mapping[str, OpenLoopScore], runs: str, groups: Mapping[str, ScoreTable] | None = None):
+        self._scores, self._runs, self.groups = dict(scores), runs, dict(groups or {})
 
     def __getitem__(self, model: str) -> OpenLoopScore:
         if model not in self._scores:
@@ -35,32 +49,54 @@ class ScoreTable(Mapping):
 
     @property
     def rows(self) -> list[list[str]]:
-        """Header, then one row per model: mean / median in mm at each horizon."""
+        """Header, then one row per model: mean / median in mm and NMTE at each horizon, marked where best or tied."""
         horizons = next(iter(self._scores.values())).horizons
-        return [["model", *(part.label for part in horizons)],
-                *([name, *(mean_and_median(part) for part in score.horizons)] for name, score in self._scores.items())]
+        return [["model", *(part.label for part in horizons)], *table_rows(self._scores, mean_and_median)]
 
     @property
     def caption(self) -> str:
-        starts = ", ".join(f"{len(part.errors)} ({part.label})" for part in next(iter(self._scores.values())).horizons)
-        return f"mean / median RMSE in mm over n = {starts} starts of {self._runs}; ∞: a rollout diverged"
+        return f"{self._counts}, {SHARES}; ∞: a rollout diverged; {LEGEND}"
+
+    @property
+    def _counts(self) -> str:
+        first = next(iter(self._scores.values()))
+        return f"{CELLS} over n = {starts_of(first)} starts of {self._runs}, one training per model"
+
+    def difference(self, model: str, other: str, horizon: str) -> Interval:
+        """Mean error of one model minus that of another over a horizon ("200 ms"), m, with its 95 % interval from a
+        paired bootstrap over blocks of starts; where that holds zero, the two are tied.
+        """
+        return difference(self, model, other, horizon)
+
+    @property
+    def _shown(self) -> dict[str, ScoreTable]:
+        """The groups; of too many to be read, none."""
+        return self.groups if 1 < len(self.groups) <= sheet.MOST + 1 else {}
 
     def __repr__(self) -> str:
-        return f"{sheet.columns(self.rows)}\n{self.caption}"
+        if not self._shown:
+            return f"{sheet.columns(self.rows)}\n{self.caption}"
+        parts = [f"{name}\n{sheet.columns(each.rows)}\n{each._counts}" for name, each in self._shown.items()]
+        return "\n\n".join([*parts, f"{SHARES}; ∞: a rollout diverged; {LEGEND}"])
 
     def _repr_html_(self) -> str:
-        return sheet.html_columns(self.rows, self.caption)
+        return "".join(sheet.html_columns(each.rows, f"{name}: {each.caption}")
+                       for name, each in self._shown.items()) or sheet.html_columns(self.rows, self.caption)
 
 
-def score(model, data, *, split: str = "test", kind: str = "controlled", horizons: Sequence[float] = HORIZONS,
-          starts: int = 500, seed: int = 0, outputs: Sequence[str] | None = None) -> ScoreTable:
+def score(model, data, *, split: str = "test", kind: str | None = "controlled", horizons: Sequence[float] = HORIZONS,
+          starts: int = 500, seed: int = 0, outputs: Sequence[str] | None = None,
+          noise: float | None = None) -> ScoreTable:
     """Roll a model out from measured starts of unseen runs, and persistence and constant velocity from the same ones.
 
-        error of a start = √(1/H Σ_{k=1..H} ‖ŷ_k − y_k‖²), m
+        error of a start = √(1/H Σ_{k=1..H} ‖ŷ_k − y_k‖²), m, at every sample k of the recording
 
     model: what `fit` or `load` returns; several as a list, or by name in a mapping. data: a TrajectoryDataset. split,
-    kind: of the runs that are scored; where none is of this kind, those of the split. horizons: s; "full" is added, one
-    rollout per run. starts: seeded samples per horizon, all where there are fewer. outputs: names of those that count.
+    kind: of the runs that are scored, None for decays and controlled runs, which are scored apart; where none is of
+    this kind, those of the split. Runs whose names differ in a counter are a group, scored apart as well. horizons: s
+    (0.1 beside the others where the model is to control); "full" is added, one rollout per run. starts: seeded samples
+    per horizon, all where there are fewer. outputs: names of those that count. noise: of the loop, standard deviation
+    in m: the same once more with it on the windows that rollouts start from.
     Inputs are the recorded ones, see `evaluation.open_loop.score_open_loop` for the rest.
     Raises ValueError for data of other outputs or inputs than the model's, without such runs, or runs that are too
     short.
@@ -86,14 +122,23 @@ def score(model, data, *, split: str = "test", kind: str = "controlled", horizon
     for each in models.values():
         if isinstance(each, TrainedModel):
             artifact.check_source(Artifact(each.reduced, {**each.card, "units": {"input": each.input_unit}}), seen)
-    runs = seen.select(split, kind) or tuple(run for run in seen.select(split) if run.kind != "static")
+    runs = seen.select(split, kind) or seen.select(split)
+    runs = runs if kind == "static" else tuple(run for run in runs if run.kind != "static")
     if not runs:
         there = sorted({f"{run.kind}, {run.split}" for run in seen})
         raise ValueError(f"the data have no run of split={split!r} to score on, only {there}; give test=[…] runs, or "
                          "another split")
-    scores = compare_open_loop({name: each.reduced for name, each in models.items()}, runs, horizons=list(horizons),
-                               starts=starts, seed=seed, outputs=seen.columns(outputs))
-    return ScoreTable(scores, f"{len(runs)} {split} {'run' if len(runs) == 1 else 'runs'}")
+    found = compare_groups({name: each.reduced for name, each in models.items()}, runs, horizons=list(horizons),
+                           starts=starts, seed=seed, outputs=seen.columns(outputs), noise=noise)
+    return _table(found, split)
+
+
+def _table(found: GroupedScores, split: str) -> ScoreTable:
+    def counted(number: int) -> str:
+        return f"{number} {split} {'run' if number == 1 else 'runs'}"
+
+    groups = {name: ScoreTable(scores, counted(found.sizes[name])) for name, scores in found.groups.items()}
+    return ScoreTable(found.scores, counted(found.size), groups)
 
 
 def _by_name(model) -> dict:

@@ -12,7 +12,7 @@ import numpy as np
 from ssmr_torch import artifact
 from ssmr_torch import data_sheet as sheet
 from ssmr_torch.data_sheet import DataSheet
-from ssmr_torch.evaluation.predictors import as_predictor
+from ssmr_torch.evaluation.predictors import as_predictor, at_every_sample
 from ssmr_torch.models.base import Model
 from ssmr_torch.periods import whole_multiple
 
@@ -85,8 +85,8 @@ class TrainedModel(DataSheet):
 
     @property
     def scores(self) -> dict[str, float]:
-        """Open-loop errors of the validation and test runs at the fit, m, by name."""
-        return dict(self.card.get("scores") or {})
+        """Open-loop errors of the validation and test runs at the fit, m, by name; infinite where one diverged."""
+        return _finite(self.card.get("scores"))
 
     @property
     def delays(self) -> int:
@@ -126,12 +126,7 @@ class TrainedModel(DataSheet):
         count = int(np.prod(leading))  # without delays there are no past inputs, whose size tells nothing
         window, inputs, past = (array.reshape(count, *array.shape[-2:]) for array in (window, inputs, past))
         model, stride = self._at_sampling_time
-        steps = -(-horizon // stride)
-        ahead = np.minimum(np.arange(steps * stride), horizon - 1)
-        held = inputs[:, ahead].reshape(len(inputs), steps, stride, -1).mean(axis=2)
-        outputs = as_predictor(model).predict(window, past, held)
-        if stride > 1:
-            outputs = _between(model.decode(model.encode(window, past)), outputs, stride)[:, :horizon]
+        outputs = at_every_sample(as_predictor(model), stride).predict(window, past, inputs)
         return outputs.reshape(*leading, horizon, -1)
 
     @cached_property
@@ -232,15 +227,6 @@ def _array(what: str, given, rows: int | None, columns: int, meaning: str) -> np
     if not np.isfinite(array).all():
         raise ValueError(f"{what} holds numbers that are not finite; predict from samples that were measured")
     return array
-
-
-def _between(first: np.ndarray, outputs: np.ndarray, stride: int) -> np.ndarray:
-    """Outputs (N, S, p) every `stride` samples, and (N, p) before them, at all S · stride samples, linearly."""
-    knots = np.concatenate([first[:, None], outputs], axis=1)
-    share = np.tile(np.arange(1, stride + 1) / stride, outputs.shape[1])[:, None]
-    low, high = (np.repeat(array, stride, axis=1) for array in (knots[:, :-1], knots[:, 1:]))
-    with np.errstate(invalid="ignore"):
-        return np.where(np.isfinite(high), low + share * (high - low), np.inf)
 
 
 def _finite(scores: Mapping | None) -> dict[str, float]:

@@ -5,6 +5,7 @@ import csv
 import io
 import json
 import os
+import sqlite3
 import subprocess
 import sys
 import time
@@ -17,7 +18,7 @@ from omegaconf import OmegaConf
 
 from ssmr_torch import artifact, command
 from ssmr_torch.closed_loop import ClosedLoopRecord
-from ssmr_torch.experiments.sweep_table import save_best, save_controller
+from ssmr_torch.experiments.sweep_table import baselines, save_best, save_controller
 from ssmr_torch.trajectory import TrajectoryDataset
 
 SSMR = Path(sys.executable).with_name("ssmr")
@@ -169,6 +170,14 @@ def test_a_sweep_ends_with_a_table_of_its_jobs_best_first(line):
     assert "model=ssmr" in rows[0]["overrides"]
 
 
+def test_a_sweeps_table_shows_the_baselines_that_its_jobs_were_scored_beside():
+    row = {"job": "0", "model": "SSMR", "validation/rmse": 0.001, "validation/rmse_persistence": 0.02,
+           "validation/rmse_constant_velocity": 0.05}
+    assert baselines(row) == [{"job": "–", "model": "persistence", "validation/rmse": 0.02},
+                              {"job": "–", "model": "constant velocity", "validation/rmse": 0.05}]
+    assert baselines({"job": "0", "ISE": 1.0}) == []
+
+
 @pytest.mark.slow
 def test_the_report_holds_tables_and_figures_and_nothing_from_outside(line):
     page = (line / "report.html").read_text()
@@ -229,7 +238,10 @@ def test_a_search_goes_on_where_it_was_never_sees_the_test_runs_and_leaves_the_b
     assert f"fit.closed_form.ridge.default={best.fit.closed_form.ridge.default}" in rows[0]["overrides"]
     assert (line / "search" / "sweep.svg").is_file()
     short = run(*command[:-1], "hydra.sweep.dir=short", "search_minutes=1.0e-4", cwd=line)
-    assert "the 0.0001 minutes are over after 1 trials" in short
+    assert "the 0.0001 CPU minutes are over after 1 trials" in short
+    counted = sqlite3.connect(next((line / "short").glob("*.db"))).execute(
+        "select value_json from trial_user_attributes where key = 'cpu_seconds'").fetchall()
+    assert len(counted) == 1 and float(counted[0][0]) > 0.1
     changed = start(*command, "model.delays=3", cwd=line)
     assert "now it is ['model.delays=3']" in changed.stderr and "Traceback" not in changed.stderr
 

@@ -2,6 +2,7 @@
 
 import fcntl
 import logging
+import os
 from pathlib import Path
 
 from hydra.plugins.sweeper import Sweeper
@@ -9,6 +10,12 @@ from hydra.utils import instantiate
 
 for talkative in ("hydra_plugins.hydra_optuna_sweeper._impl", "alembic"):
     logging.getLogger(talkative).setLevel(logging.WARNING)
+CPU = "cpu_seconds"  # of a trial, in the study's database
+
+
+def cpu_seconds() -> float:
+    """CPU time of this process and of those that it started and waited for, s."""
+    return sum(os.times()[:4])
 
 
 class StudySweeper(Sweeper):
@@ -17,8 +24,9 @@ class StudySweeper(Sweeper):
     n_trials: finished trials of the study, those of earlier runs and of other processes included; a trial that was
     interrupted does not count. Each trial's job has the trial's number, and a sampler with a seed of its own, seed +
     number: interrupted and resumed, one process tries what it would have tried at once.
-    search_minutes, of the job's own configuration: no further trial begins when the finished ones have taken so long
-    together, so that slow and fast models get the same effort; null: no limit.
+    search_minutes, of the job's own configuration: no further trial begins when the finished ones have taken so many
+    CPU minutes together (of the processes that ran them, with those that they started and waited for), so that slow and
+    fast models get the same effort, and on a busy machine the same as on an idle one; null: no limit.
     Ends with a message where n_jobs is not 1, or the study was begun with other arguments.
     """
 
@@ -27,8 +35,20 @@ class StudySweeper(Sweeper):
         from hydra_plugins.hydra_optuna_sweeper._impl import OptunaSweeperImpl
 
         class Trials(OptunaSweeperImpl):
+            def setup(self, **context):
+                super().setup(**context)
+                launch = self.launcher.launch
+
+                def counted(*arguments, **options):
+                    begun = cpu_seconds()
+                    returns = launch(*arguments, **options)
+                    self.trial.set_user_attr(CPU, cpu_seconds() - begun)
+                    return returns
+
+                self.launcher.launch = counted
+
             def _configure_trials(self, trials, *space):
-                self.job_idx = trials[0].number
+                self.trial, self.job_idx = trials[0], trials[0].number
                 sampler = self.config.hydra.sweeper.sampler
                 trials[0].study.sampler = instantiate(sampler, seed=(sampler.seed or 0) + trials[0].number)
                 return super()._configure_trials(trials, *space)
@@ -55,9 +75,10 @@ class StudySweeper(Sweeper):
             self._check_same(study, sorted([*self.trials._parse_sweeper_params_config(), *arguments]))
         limit = self.trials.config.get("search_minutes")
         while len(finished := study.get_trials(False, (optuna.trial.TrialState.COMPLETE,))) < self.wanted:
-            minutes = sum(trial.duration.total_seconds() for trial in finished) / 60
+            # trials of an older study tell only how long they took
+            minutes = sum(trial.user_attrs.get(CPU, trial.duration.total_seconds()) for trial in finished) / 60
             if limit is not None and minutes > limit:
-                print(f"\nthe {limit:g} minutes are over after {len(finished)} trials")
+                print(f"\nthe {limit:g} CPU minutes are over after {len(finished)} trials")
                 break
             best = f", best so far {min(trial.value for trial in finished):.4g}" if finished else ""
             print(f"\ntrial {len(finished) + 1} of {self.wanted}{best}")

@@ -84,7 +84,7 @@ class TrajectoryDataModule(lightning.LightningDataModule):
         if not trajectories:
             return []
         horizon, count, seed = self.settings.validation_horizon, self.settings.starts, self.settings.seed
-        starts_over([run.length for run in trajectories], horizon, self.dataset.timestep, self.sampling,
+        starts_over([run.length for run in trajectories], horizon, self.dataset.timestep,
                     margin=max(1, self.delays * self.sampling), count=count, seed=seed)
         runs = tuple(run.read() for run in trajectories)
         seen = tuple(_noisy(run, self.settings.noise_std, (seed, 1, number)) for number, run in enumerate(runs))

@@ -53,17 +53,17 @@ def draw_starts(lengths: np.ndarray, margin: int, span: int, count: int,
     return owner, drawn - (ends - admissible)[owner] + margin
 
 
-def starts_over(lengths: np.ndarray, horizon: float, timestep: float, stride: int, *, margin: int, count: int,
+def starts_over(lengths: np.ndarray, horizon: float, timestep: float, *, margin: int, count: int,
                 seed: int) -> tuple[np.ndarray, np.ndarray, int]:
-    """`draw_starts` of which each has the horizon (s) after it, and the whole steps of `stride` samples in that.
+    """`draw_starts` of which each has the horizon (s) after it, and the samples in that.
 
-    timestep: sampling time, s. Raises ValueError where the horizon holds no step, or no trajectory the horizon.
+    timestep: sampling time, s. Raises ValueError where the horizon holds no sample, or no trajectory the horizon.
     """
     span = samples_within(horizon, timestep)
-    if span < stride:
-        raise ValueError(f"the horizon of {horizon:g} s is shorter than a step: the model steps by "
-                         f"{stride * timestep:g} s, the data by {timestep:g} s; take longer horizons")
-    return *draw_starts(lengths, margin, span, count, seed), span // stride
+    if span < 1:
+        raise ValueError(f"the horizon of {horizon:g} s is shorter than a sample: the data are {timestep:g} s apart; "
+                         "take longer horizons")
+    return *draw_starts(lengths, margin, span, count, seed), span
 
 
 def samples_within(horizon: float, timestep: float) -> int:

@@ -36,18 +36,23 @@ def rollout_rmse(predicted: np.ndarray, measured: np.ndarray, steps: np.ndarray 
     padding. Returns (...,) in the unit of y; a prediction that is not finite gives an infinite or NaN error.
     Raises ValueError when the shapes differ, there is no sample, or `steps` is outside 1 … H.
     """
-    predicted, measured = _same_shape(predicted, measured, lowest_rank=2)
-    horizon = predicted.shape[-2]
+    squares, counted, steps = _squares(predicted, measured, steps)
     with np.errstate(over="ignore", invalid="ignore"):
-        squares = ((predicted - measured) ** 2).sum(axis=-1)
-        if steps is None:
-            return np.sqrt(squares.mean(axis=-1))
-        steps = np.asarray(steps)
-        if steps.shape != squares.shape[:-1] or (steps < 1).any() or (steps > horizon).any():
-            raise ValueError(f"steps has shape {steps.shape} and values {steps.min()} to {steps.max()}; "
-                             f"expected shape {squares.shape[:-1]} and values 1 to {horizon}")
-        counted = np.arange(1, horizon + 1) <= steps[..., None]
         return np.sqrt(np.where(counted, squares, 0.0).sum(axis=-1) / steps)
+
+
+def rollout_nmte(predicted: np.ndarray, measured: np.ndarray, size: np.ndarray,
+                 steps: np.ndarray | None = None) -> np.ndarray:
+    """Normalized mean trajectory error of one rollout, (1/H Σ_{k=1..H} ‖ŷ_k − y_k‖) / max ‖y‖, no unit.
+
+    As in SSMLearn: the mean of the error's norm over the largest norm of the measured trajectory. size: (...,) that
+    norm, over the whole trajectory that the rollout is a part of; near rest the rollout's own would make any error
+    look large. The rest as in `rollout_rmse`. Where size is zero, the error is 0 if all is exact and else infinite.
+    """
+    squares, counted, steps = _squares(predicted, measured, steps)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        norms = np.where(counted, np.sqrt(squares), 0.0).sum(axis=-1) / steps
+        return np.where(norms == 0, 0.0, norms / np.asarray(size))
 
 
 def tracking_error(time: np.ndarray, position: np.ndarray, reference: np.ndarray, *,
@@ -148,6 +153,19 @@ def closed_loop_metrics(record, obstacles=()) -> dict[str, float]:
         depth = -np.min([obstacle.clearance(record.time, position) for obstacle in obstacles], axis=0)
         found |= {"violation_ratio": float((depth > 0).mean()), "max_violation": float(max(depth.max(), 0.0))}
     return found
+
+
+def _squares(predicted: np.ndarray, measured: np.ndarray, steps: np.ndarray | None) -> tuple[np.ndarray, ...]:
+    """‖ŷ_k − y_k‖² (..., H), which of them count, and how many (...,)."""
+    predicted, measured = _same_shape(predicted, measured, lowest_rank=2)
+    horizon = predicted.shape[-2]
+    with np.errstate(over="ignore", invalid="ignore"):
+        squares = ((predicted - measured) ** 2).sum(axis=-1)
+    steps = np.full(squares.shape[:-1], horizon) if steps is None else np.asarray(steps)
+    if steps.shape != squares.shape[:-1] or (steps < 1).any() or (steps > horizon).any():
+        raise ValueError(f"steps has shape {steps.shape} and values {steps.min()} to {steps.max()}; "
+                         f"expected shape {squares.shape[:-1]} and values 1 to {horizon}")
+    return squares, np.arange(1, horizon + 1) <= steps[..., None], steps
 
 
 def _same_shape(first: np.ndarray, second: np.ndarray, lowest_rank: int) -> tuple[np.ndarray, np.ndarray]:

@@ -7,97 +7,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
-from ssmr_torch.data.starts import samples_within, starts_over
-from ssmr_torch.evaluation.metrics import rollout_rmse
+from ssmr_torch.data.starts import starts_over
+from ssmr_torch.evaluation.horizon_scores import HorizonScore, OpenLoopScore
+from ssmr_torch.evaluation.metrics import rollout_nmte, rollout_rmse
 from ssmr_torch.evaluation.predictors import BASELINES, as_predictor
-from ssmr_torch.evaluation.rollouts import Forecaster, Recording
+from ssmr_torch.evaluation.rollouts import Forecaster, Recording, noisy
 from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
 
 HORIZONS = (0.05, 0.2, 1.0)
 SAMPLES_PER_BLOCK = 1 << 16
 
 
-@dataclass(frozen=True, eq=False)
-class HorizonScore:
-    """Errors √(mean_k ‖ŷ_k − y_k‖²) of the rollouts over one horizon, m; infinite for a diverged rollout.
-
-    label: "50 ms", …, or "full"; steps: of the model per rollout, duration: their length in s (the longest's,
-    for "full"). errors: (N,), one per start; output_errors: (N, outputs), the same per output.
-    skipped: number of trajectories that are too short.
-    """
-
-    label: str
-    steps: int
-    duration: float
-    errors: np.ndarray
-    output_errors: np.ndarray
-    skipped: int
-
-    @property
-    def diverged(self) -> float:
-        """Share of diverged rollouts."""
-        return float(np.isinf(self.errors).mean())
-
-    @property
-    def mean(self) -> float:
-        """Mean over all starts, m; infinite when one diverged."""
-        return float(self.errors.mean())
-
-    @property
-    def mean_of_survivors(self) -> float:
-        """Mean over the starts that did not diverge, m; infinite when all did. Quote it with `diverged`."""
-        survivors = self.errors[np.isfinite(self.errors)]
-        return float(survivors.mean()) if len(survivors) else math.inf
-
-    @property
-    def median(self) -> float:
-        """Median over all starts, m."""
-        return float(np.median(self.errors))
-
-    @property
-    def p95(self) -> float:
-        """Smallest error, m, that 95 % of all starts do not exceed."""
-        return float(np.quantile(self.errors, 0.95, method="inverted_cdf"))
-
-    def as_dict(self) -> dict:
-        """Plain JSON values, m and s; infinite ones are None."""
-        return {"label": self.label, "steps": self.steps, "duration": self.duration,
-                "starts": len(self.errors), "skipped_trajectories": self.skipped, "diverged": self.diverged,
-                "mean": _finite_or_none(self.mean), "median": _finite_or_none(self.median),
-                "p95": _finite_or_none(self.p95),
-                "mean_of_survivors": _finite_or_none(self.mean_of_survivors),
-                "mean_per_output": [_finite_or_none(value) for value in self.output_errors.mean(axis=0)]}
-
-
-@dataclass(frozen=True, eq=False)
-class OpenLoopScore:
-    """One score per horizon, the last over full trajectories; margin, seed and columns as they were given."""
-
-    horizons: tuple[HorizonScore, ...]
-    margin: int
-    seed: int
-    outputs: tuple[int, ...]
-
-    def __getitem__(self, label: str) -> HorizonScore:
-        """The score of "50 ms", "1 s", "full", …"""
-        for score in self.horizons:
-            if score.label == label:
-                return score
-        raise KeyError(f"no horizon {label!r}; there are {[score.label for score in self.horizons]}")
-
-    def as_dict(self) -> dict:
-        """Plain JSON values, m and s; infinite ones are None."""
-        return {"unit": "m", "margin": self.margin, "seed": self.seed, "outputs": list(self.outputs),
-                "horizons": [score.as_dict() for score in self.horizons]}
-
-
 def score_open_loop(model, trajectories: Iterable, *, horizons: Sequence[float] = HORIZONS,
                     starts: int = 500, seed: int = 0, margin: int | None = None,
-                    outputs: Sequence[int] | None = None) -> OpenLoopScore:
+                    outputs: Sequence[int] | None = None, noise: float | None = None) -> OpenLoopScore:
     """Roll the model out from measured starts and compare with what was measured.
 
         error of a start = √(1/H Σ_{k=1..H} ‖ŷ_k − y_k‖²) over the columns `outputs` (default all), m
@@ -106,18 +33,25 @@ def score_open_loop(model, trajectories: Iterable, *, horizons: Sequence[float] 
     Per horizon, `starts` different samples (all, where there are fewer) are drawn uniformly over those with
     `margin` samples before them (default: what the window needs, at least 1) and the horizon after them in
     their trajectory; the draw depends on seed, margin and trajectories, not on the model. "full" is one
-    rollout per trajectory, from sample `margin` to the end. A model that steps by several samples is compared
-    at its own steps (`duration` says how much of the horizon they cover) and sees the mean input over each.
+    rollout per trajectory, from sample `margin` to the end. k counts samples of the recording for every model: one
+    that steps by several sees the mean input over each step, and its outputs are interpolated linearly in between,
+    from the decoded initial state on (`predictors.at_every_sample`).
+    noise: standard deviation, m, of white noise on the windows that rollouts start from, as a loop measures them; the
+    score with it is `noisy` of the one without, from the same starts, and both are compared with the clean outputs.
     A rollout has diverged when the model says so, a prediction is not finite, or ‖ŷ‖ over all
     outputs exceeds 10 times the largest measured ‖y‖. Raises ValueError when timesteps or columns do not
-    match or no trajectory is long enough.
+    match, no trajectory is long enough, or the noise is no positive number.
     """
-    recording = Recording.of(trajectories)
-    forecaster = Forecaster(as_predictor(model), recording)
-    margin = forecaster.margin if margin is None else margin
-    columns = _columns(outputs, recording.observation.shape[1])
-    scores = score_horizons(forecaster, horizons, starts=starts, seed=seed, margin=margin, outputs=outputs)
-    return OpenLoopScore((*scores, _score_full(forecaster, margin, columns)), margin, seed, tuple(columns.tolist()))
+    if noise is not None and not (math.isfinite(noise) and noise > 0):
+        raise ValueError(f"noise is {noise} m; expected a positive standard deviation, or None for windows as measured")
+    runs = [trajectory.read() for trajectory in trajectories]
+    recording, predictor = Recording.of(runs), as_predictor(model)
+    options = {"horizons": horizons, "starts": starts, "seed": seed, "margin": margin, "outputs": outputs}
+    score = _score(Forecaster(predictor, recording), **options)
+    if noise is None:
+        return score
+    measured = Forecaster(predictor, Recording.of(runs, noisy(runs, noise, seed)))
+    return replace(score, noisy=replace(_score(measured, **options), noise=float(noise)))
 
 
 def score_horizons(forecaster: Forecaster, horizons: Sequence[float], *, starts: int = 500, seed: int = 0,
@@ -137,8 +71,8 @@ def score_horizons(forecaster: Forecaster, horizons: Sequence[float], *, starts:
 
 def compare_open_loop(models: Mapping[str, object], trajectories: Iterable, *, margin: int | None = None,
                       **options) -> dict[str, OpenLoopScore]:
-    """Scores of all models and both baselines from the same starts; options and errors are those of
-    `score_open_loop`.
+    """Scores of all models and both baselines from the same starts at the same instants; options and errors are those
+    of `score_open_loop`.
 
     The common margin is what the longest window needs, unless a larger one is given.
     """
@@ -146,66 +80,67 @@ def compare_open_loop(models: Mapping[str, object], trajectories: Iterable, *, m
     if clash:
         raise ValueError(f"models named {clash}; the baselines have these names, choose others")
     runs = [trajectory.read() for trajectory in trajectories]
-    recording = Recording.of(runs)
-    predictors = {name: as_predictor(model) for name, model in models.items()}
-    predictors |= {name: baseline(recording.timestep) for name, baseline in BASELINES.items()}
     if margin is None:
-        margin = max(Forecaster(predictor, recording).reach for predictor in predictors.values())
+        margin = common_margin(models, runs)
+    timestep = Recording.of(runs).timestep
+    predictors = {**models, **{name: baseline(timestep) for name, baseline in BASELINES.items()}}
     return {name: score_open_loop(predictor, runs, margin=margin, **options)
             for name, predictor in predictors.items()}
 
 
-def format_table(scores: Mapping[str, OpenLoopScore]) -> str:
-    """Mean error in mm per model and horizon, as text; ∞ where one diverged, with the share and the others'
-    mean.
+def common_margin(models: Mapping[str, object], runs: Sequence) -> int:
+    """Samples before every start that the longest window of the models and baselines needs."""
+    recording = Recording.of(runs)
+    predictors = [*map(as_predictor, models.values()), *(each(recording.timestep) for each in BASELINES.values())]
+    return max(Forecaster(predictor, recording).reach for predictor in predictors)
 
-    Raises ValueError when the models were not scored over the same horizons from the same starts.
-    """
-    first = next(iter(scores.values()))
-    for name, score in scores.items():
-        if _setting(score) != _setting(first):
-            raise ValueError(f"{name!r} was scored over {_setting(score)}, the first model over "
-                             f"{_setting(first)} (horizons and starts, margin, seed, outputs); "
-                             "use compare_open_loop")
-    rows = [["model", *(part.label for part in first.horizons)]]
-    rows += [[name, *(_cell(part) for part in score.horizons)] for name, score in scores.items()]
-    widths = [max(map(len, column)) for column in zip(*rows)]
-    lines = ["  ".join(cell.rjust(width) if column else cell.ljust(width)
-                       for column, (cell, width) in enumerate(zip(row, widths))) for row in rows]
-    starts = ", ".join(f"{len(part.errors)} ({part.label})" for part in first.horizons)
-    note = f"mean RMSE in mm over n = {starts} starts; ∞: some diverged (their share, mean of the others)"
-    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], note])
+
+def _score(forecaster: Forecaster, *, horizons: Sequence[float], starts: int, seed: int, margin: int | None,
+           outputs: Sequence[int] | None) -> OpenLoopScore:
+    margin = forecaster.margin if margin is None else margin
+    columns = _columns(outputs, forecaster.recording.observation.shape[1])
+    scores = score_horizons(forecaster, horizons, starts=starts, seed=seed, margin=margin, outputs=outputs)
+    return OpenLoopScore((*scores, _score_full(forecaster, margin, columns)), margin, seed, tuple(columns.tolist()))
 
 
 def _score_horizon(forecaster: Forecaster, horizon: float, starts: int, seed: int, margin: int,
                    columns: np.ndarray) -> HorizonScore:
-    recording, stride = forecaster.recording, forecaster.stride
-    owner, sample, steps = starts_over(recording.lengths, horizon, recording.timestep, stride, margin=margin,
-                                       count=starts, seed=seed)
-    errors = _errors(forecaster, owner, sample, np.full(len(owner), steps), columns)
-    skipped = int((recording.lengths < margin + samples_within(horizon, recording.timestep) + 1).sum())
-    return HorizonScore(_label(horizon), steps, steps * stride * recording.timestep, *errors, skipped)
+    recording = forecaster.recording
+    owner, sample, steps = starts_over(recording.lengths, horizon, recording.timestep, margin=margin, count=starts,
+                                       seed=seed)
+    return _rolled_out(forecaster, _label(horizon), owner, sample, np.full(len(owner), steps), columns, margin + steps)
 
 
 def _score_full(forecaster: Forecaster, margin: int, columns: np.ndarray) -> HorizonScore:
-    recording, stride = forecaster.recording, forecaster.stride
-    steps = (recording.lengths - 1 - margin) // stride
+    lengths = forecaster.recording.lengths
+    steps = lengths - 1 - margin
     owner = np.flatnonzero(steps >= 1)
     if not len(owner):
-        raise ValueError(f"the longest trajectory has {recording.lengths.max()} samples; a full rollout "
-                         f"needs {margin} before its start and {stride} after")
-    errors = _errors(forecaster, owner, np.full(len(owner), margin), steps[owner], columns)
-    longest = int(steps.max())
-    skipped = int((steps < 1).sum())
-    return HorizonScore("full", longest, longest * stride * recording.timestep, *errors, skipped)
+        raise ValueError(f"the longest trajectory has {lengths.max()} samples; a full rollout "
+                         f"needs {margin} before its start and 1 after")
+    return _rolled_out(forecaster, "full", owner, np.full(len(owner), margin), steps[owner], columns, margin + 1)
+
+
+def _rolled_out(forecaster: Forecaster, label: str, owner: np.ndarray, sample: np.ndarray, steps: np.ndarray,
+                columns: np.ndarray, needed: int) -> HorizonScore:
+    """The score of these starts; trajectories of up to `needed` samples are too short for one."""
+    recording, longest = forecaster.recording, int(steps.max())
+    short = tuple(np.flatnonzero(recording.lengths <= needed).tolist())
+    errors, output_errors, trajectory_errors = _errors(forecaster, owner, sample, steps, columns)
+    return HorizonScore(label, longest, longest * recording.timestep, errors, output_errors, len(short),
+                        trajectory_errors, owner, sample, short)
 
 
 def _errors(forecaster: Forecaster, owner: np.ndarray, sample: np.ndarray, steps: np.ndarray,
-            columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Error (N,) and error per output (N, outputs) of every start, in blocks so that memory stays bounded."""
-    bound = DIVERGENCE_FACTOR * np.linalg.norm(forecaster.recording.observation, axis=-1).max()
+            columns: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Error (N,), error per output (N, outputs) and normalized mean trajectory error (N,) of every start, in blocks so
+    that memory stays bounded.
+    """
+    recording = forecaster.recording
+    bound = DIVERGENCE_FACTOR * np.linalg.norm(recording.observation, axis=-1).max()
+    sizes = np.maximum.reduceat(np.linalg.norm(recording.observation[:, columns], axis=-1), recording.offsets)
     rows = max(1, SAMPLES_PER_BLOCK // int(steps.max()))
-    errors, output_errors = [], []
+    found = []
     for block in (slice(first, first + rows) for first in range(0, len(owner), rows)):
         predicted, measured = forecaster(owner[block], sample[block], steps[block])
         counted = np.arange(1, predicted.shape[1] + 1) <= steps[block, None]
@@ -214,9 +149,10 @@ def _errors(forecaster: Forecaster, owner: np.ndarray, sample: np.ndarray, steps
         predicted, measured = predicted[..., columns], measured[..., columns]
         each = [rollout_rmse(predicted[..., [j]], measured[..., [j]], steps[block])
                 for j in range(len(columns))]
-        errors.append(np.where(diverged, np.inf, rollout_rmse(predicted, measured, steps[block])))
-        output_errors.append(np.where(diverged[:, None], np.inf, np.stack(each, axis=-1)))
-    return np.concatenate(errors), np.concatenate(output_errors)
+        errors = [rollout_rmse(predicted, measured, steps[block]), np.stack(each, axis=-1),
+                  rollout_nmte(predicted, measured, sizes[owner[block]], steps[block])]
+        found.append([np.where(diverged.reshape(-1, *[1] * (values.ndim - 1)), np.inf, values) for values in errors])
+    return tuple(map(np.concatenate, zip(*found)))
 
 
 def _columns(outputs: Sequence[int] | None, available: int) -> np.ndarray:
@@ -226,21 +162,5 @@ def _columns(outputs: Sequence[int] | None, available: int) -> np.ndarray:
     return columns
 
 
-def _setting(score: OpenLoopScore) -> tuple:
-    horizons = [(part.label, len(part.errors)) for part in score.horizons]
-    return horizons, score.margin, score.seed, score.outputs
-
-
 def _label(seconds: float) -> str:
     return f"{seconds:g} s" if seconds >= 1 else f"{1e3 * seconds:g} ms"
-
-
-def _cell(score: HorizonScore) -> str:
-    if score.diverged == 0:
-        return f"{1e3 * score.mean:.3g}"
-    survivors = "" if score.diverged == 1 else f", {1e3 * score.mean_of_survivors:.3g}"
-    return f"∞ ({100 * score.diverged:.3g} %{survivors})"
-
-
-def _finite_or_none(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

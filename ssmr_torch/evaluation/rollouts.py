@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.evaluation.predictors import Predictor, as_predictor
+from ssmr_torch.evaluation.predictors import Predictor, as_predictor, at_every_sample
 from ssmr_torch.periods import TOLERANCE, whole_multiple
 
 
@@ -47,6 +48,8 @@ class Recording(NamedTuple):
 class Forecaster:
     """A predictor on a recording: (trajectory, sample) of N starts → predicted and measured outputs.
 
+    Outputs are compared at every sample of the recording, whatever the predictor's step: between two steps they are
+    interpolated, see `predictors.at_every_sample`.
     stride, window_stride: samples per step of the model and per delay of its window. reach: samples that its
     window needs before a start; margin: that, and one at least, for the velocity of a baseline. Raises ValueError
     when columns differ or a timestep is no whole multiple.
@@ -58,11 +61,12 @@ class Forecaster:
             if own is not None and own != given:
                 raise ValueError(f"the trajectories have {given} {label}, the model {own}; "
                                  "give it the columns that it was fitted to")
-        self.predictor, self.recording = predictor, recording
+        self.recording = recording
         self.stride, self.window_stride = (
             whole_multiple(f"the model's {name}", getattr(predictor, name), "the trajectories' sampling time",
                            recording.timestep, "use at_timestep, or resample the data")
             for name in ("timestep", "window_timestep"))
+        self.predictor = at_every_sample(predictor, self.stride)
         self.reach = predictor.delays * self.window_stride
         self.margin = max(1, self.reach)
 
@@ -70,35 +74,44 @@ class Forecaster:
                  steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predicted and measured (N, H, p), H = max(steps); rows are padded past their own steps.
 
-        owner, sample, steps: (N,). The k-th output is `stride` k samples after the start, and the input of a
-        step is the mean over its samples. Padding never reads another trajectory: it repeats the last sample.
+        owner, sample, steps: (N,); the k-th output is k samples after the start. Nothing after a row's own last sample
+        is read, neither of the inputs nor of another trajectory: padding repeats it.
         """
         recording = self.recording
         newest = recording.offsets[owner] + sample
-        last = recording.offsets[owner] + recording.lengths[owner] - 1
         window = newest[:, None] - self.window_stride * np.arange(self.predictor.delays, -1, -1)
-        future = np.minimum(newest[:, None] + self.stride * np.arange(steps.max() + 1), last[:, None])
-        within = np.arange(self.stride)
-        ahead = np.minimum(future[:, :-1, None] + within, last[:, None, None])
         behind = window[:, :-1, None] + np.arange(self.window_stride)
+        ahead = newest[:, None] + np.minimum(np.arange(steps.max()), steps[:, None] - 1)
         predicted = self.predictor.predict(recording.seen[window], recording.input[behind].mean(axis=2),
-                                           recording.input[ahead].mean(axis=2))
-        return predicted, recording.observation[future[:, 1:]]
+                                           recording.input[ahead])
+        return predicted, recording.observation[ahead + 1]
+
+
+def noisy(runs: Iterable, noise: float, seed: int) -> list:
+    """The runs (read ones) as the loop measures them: with white noise of the standard deviation `noise`, m.
+
+    It is drawn per sample of the recording, so that windows that share a sample, and all models, see the same.
+    Raises ValueError for a noise that is negative or not finite.
+    """
+    if not (np.isfinite(noise) and noise >= 0):
+        raise ValueError(f"noise is {noise} m; expected a standard deviation of 0 or more")
+    return [replace(run, observation=run.observation + np.random.default_rng((seed, number, 1)).normal(
+        0.0, noise, run.observation.shape)) for number, run in enumerate(runs)]
 
 
 def predict_trajectory(model, trajectory, *, margin: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """One rollout from sample `margin` (default: the first complete window) to the end of the trajectory.
 
-    model: as in `score_open_loop`. Returns time (H,) s and outputs (H, p) m, without the initial sample;
+    model: as in `score_open_loop`. Returns time (H,) s and outputs (H, p) m at every sample after the initial one;
     infinite from where the model calls the rollout diverged. Raises ValueError when the model does not fit or
     the run is too short.
     """
     run = trajectory.read()
     forecaster = Forecaster(as_predictor(model), Recording.of([run]))
     start = forecaster.reach if margin is None else margin
-    steps = (run.length - 1 - start) // forecaster.stride
+    steps = run.length - 1 - start
     if start < forecaster.reach or steps < 1:
         raise ValueError(f"a rollout from sample {start} of {run.length}: the model needs {forecaster.reach} "
-                         f"samples before its start and {forecaster.stride} after")
+                         "samples before its start and 1 after")
     predicted, _ = forecaster(np.array([0]), np.array([start]), np.array([steps]))
-    return run.time[start + forecaster.stride * np.arange(1, steps + 1)], predicted[0]
+    return run.time[start + 1:], predicted[0]

@@ -121,29 +121,47 @@ def closed_loop_section(records: Sequence[ClosedLoopRecord], picture: Picture | 
 
 
 def open_loop_section(path: Path) -> Section:
-    """Table and figures of one evaluation."""
+    """Tables and figures of one evaluation: a table for each group of runs, where there are several."""
     stored = json.loads(path.read_text())
-    scores = {name: {part["label"]: part for part in score["horizons"] or []}
-              for name, score in stored["scores"].items()}
-    labels = list(dict.fromkeys(label for parts in scores.values() for label in parts))
-    rows = []
-    for name, parts in scores.items():
-        diverged = [part["diverged"] for part in parts.values() if part["diverged"] is not None]
-        rows.append([name, *(_times(1e3, parts.get(label, {}).get("mean")) for label in labels),
-                     _times(100, max(diverged, default=None))])
+    groups = stored.get("groups") or {}
+    shown = groups if len(groups) > 1 else {"": stored["scores"]}
     split = ((stored.get("provenance") or {}).get("configuration") or {}).get("split")
     text = (f"Root mean square error of rollouts from measured starts, without correction, on the "
-            f"{split or 'whole'} set; the starts are the same for every model and never cross two runs. "
-            "Only predicted samples count; a mean that holds a diverged rollout is not shown.")
-    models = len(scores.keys() - BASELINES.keys())
-    header = ["model", *(f"{label} (mm)" for label in labels), "diverged (%)"]
-    table = Table(header, rows, "Mean open-loop error over the horizon.")
-    starts = next((part["starts"] for parts in scores.values() for part in parts.values()), 0)
+            f"{split or 'whole'} set, at every sample of the recordings whatever a model's step; the starts are the "
+            "same for every model and never cross two runs. Only predicted samples count; a mean that holds a diverged "
+            "rollout is not shown. NMTE: mean error over the largest norm of the run. *: best, =: tied with it in a "
+            "paired bootstrap.")
+    tables = [_open_loop_table(scores, f"{name}: mean" if name else "Mean") for name, scores in shown.items()]
+    scores = stored["scores"]
+    starts = next((part["starts"] for score in scores.values() for part in score["horizons"] or []), 0)
     pictures = _stored_pictures(path, [
         ("error_over_horizon", "Mean error over the horizon.", f"{starts} starts", "mm"),
         ("prediction", "A rollout from one start, beside the measurement.", "1 run", "mm")])
-    more = _first_of(PATHS_PER_FIGURE, models, "models") if pictures else []
-    return Section("Open loop", [text, *more, table, *pictures])
+    more = _first_of(PATHS_PER_FIGURE, len(scores.keys() - BASELINES.keys()), "models") if pictures else []
+    return Section("Open loop", [text, *more, *tables, *pictures])
+
+
+def _open_loop_table(scores: Mapping[str, Mapping], beginning: str) -> Table:
+    """Of one group of runs: a row per model, and one below it for its score with the noise of the loop."""
+    rows = [(name if each is score else f"{name}, noise {1e3 * each['noise']:.3g} mm", each)
+            for name, score in scores.items() for each in (score, score.get("noisy")) if each]
+    parts = [{part["label"]: part for part in each["horizons"] or []} for _, each in rows]
+    labels = list(dict.fromkeys(label for found in parts for label in found))
+    last = [label for label in labels if any(found.get(label, {}).get("nmte") is not None for found in parts)][-1:]
+    cells = []
+    for (name, each), found in zip(rows, parts):
+        means = [_marked(_times(1e3, found.get(label, {}).get("mean")), (each.get("marks") or {}).get(label))
+                 for label in labels]
+        diverged = [part["diverged"] for part in found.values() if part["diverged"] is not None]
+        cells.append([name, *means, *(_times(100, found.get(label, {}).get("nmte")) for label in last),
+                      _times(100, max(diverged, default=None))])
+    header = ["model", *(f"{label} (mm)" for label in labels), *(f"NMTE, {label} (%)" for label in last),
+              "diverged (%)"]
+    return Table(header, cells, f"{beginning} open-loop error over the horizon.")
+
+
+def _marked(value: float | None, mark: str | None) -> float | str | None:
+    return value if value is None or not mark else f"{value:.4g} {mark}"
 
 
 def training_section(path: Path) -> Section:

@@ -13,7 +13,7 @@ from matplotlib.ticker import FixedLocator, NullFormatter, StrMethodFormatter
 from ssmr_torch.evaluation.figures import METHODS, MM, MS, SPARE_COLOURS, WIDTH, look, panels, styled
 
 # column of a result, axis label, factor
-COSTS = (("parameters", "parameters (–)", 1.0), ("fit_time", "fit time (s)", 1.0), ("step_time", "step time (ms)", MS),
+COSTS = (("parameters", "parameters (–)", 1.0), ("fit_time", "fit (CPU s)", 1.0), ("step_time", "step time (ms)", MS),
          ("controlled_samples", "controlled samples (–)", 1.0))
 SCORES = ("50 ms", "200 ms", "1 s")
 MARKERS = "osD^vPX<>p"

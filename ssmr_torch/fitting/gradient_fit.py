@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from time import perf_counter
+from time import process_time
 
 import torch
 from torch import Tensor
@@ -23,8 +23,8 @@ class GradientFit(ModelFit):
     with σ_k the error k steps ahead, on the first batch, of the model that the fit starts from, so that short and long
     horizons count alike. The rollouts grow from `first_share` of their horizon to all of it over the first half of the
     fit, and the learning rate falls to zero along a cosine over all of it. The fit takes `epochs` epochs or `minutes`
-    minutes, whichever ends first, or ends when `patience` validations in a row bring nothing better; the best epoch is
-    kept.
+    CPU minutes of this process (all its threads), whichever ends first, or ends when `patience` validations in a row
+    bring nothing better; the best epoch is kept.
 
     learning_rate: relative to the size of each coefficient's contribution, see `table_scales`. horizon: of the
     rollouts, s; None: the data module's. frozen: names of parameters that keep their values (the chart and the
@@ -77,7 +77,7 @@ class GradientFit(ModelFit):
                              "closed form before the gradient fit, as fit=rollout and fit=neural_ode do")
 
     def on_train_start(self) -> None:
-        self._begun = perf_counter()
+        self._begun = process_time()
 
     def training_step(self, batch: RolloutBatch, index: int) -> Tensor:
         if self._start_power is None:
@@ -99,7 +99,7 @@ class GradientFit(ModelFit):
         """Share of the fit that is done, of its epochs or of its minutes, whichever is more."""
         share = epoch / self.epochs
         if self.minutes is not None and self._begun is not None:
-            share = max(share, (perf_counter() - self._begun) / (60 * self.minutes))
+            share = max(share, (process_time() - self._begun) / (60 * self.minutes))
         return min(share, 1.0)
 
     def _shortened(self, batch: RolloutBatch) -> RolloutBatch:
@@ -108,7 +108,7 @@ class GradientFit(ModelFit):
         return RolloutBatch(batch.window, batch.window_inputs, batch.inputs[:, :steps], batch.outputs[:, :steps])
 
     def on_train_batch_end(self, outputs, batch: RolloutBatch, index: int) -> None:
-        late = self.minutes is not None and perf_counter() - self._begun > 60 * self.minutes
+        late = self.minutes is not None and process_time() - self._begun > 60 * self.minutes
         self._stop_where(late)
 
     def on_validation_epoch_end(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 from types import MappingProxyType
 
 import lightning
@@ -44,7 +44,7 @@ SCALES = ("state_scale", "scale")  # buffers of models that measure the data, an
 class Training:
     """A fitted model, its checkpoint, the scores of validation and test (m), its cost, and the report of each fit.
 
-    cost: see `cost_of`, and fit_time, s, of the fits without the scoring after them.
+    cost: see `cost_of`, and fit_time, CPU seconds of this process, of the fits without the scoring after them.
     """
 
     model: TorchModel
@@ -182,7 +182,7 @@ def data_card(dataset: TrajectoryDataset, training: tuple) -> dict:
 
 def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, directory: Path, loggers,
          resume: bool) -> tuple[dict[str, float], str, float]:
-    """Scores of the fitted model, a sentence where the fit was undone, and the time that the fit took, s."""
+    """Scores of the fitted model, a sentence where the fit was undone, and the CPU time that it took, s."""
     validated = bool(module.validation)
     keep = ModelCheckpoint(dirpath=directory, filename="best", save_last=True, enable_version_counter=False,
                            monitor=fit.monitor if validated and fit.selects else None,
@@ -194,9 +194,9 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
     bar = None
     if fit.selects and validated:
         bar = trainer.validate(fit, module, verbose=False)[0][fit.monitor]
-    begun = perf_counter()
+    begun = process_time()
     trainer.fit(fit, module, ckpt_path=str(last) if resume and last.is_file() else None, weights_only=True)
-    duration = perf_counter() - begun
+    duration = process_time() - begun
     best = float("nan") if bar is None else float(keep.best_model_score)
     improved = bar is None or best <= bar
     fit.model.load_state_dict(load_model(keep.best_model_path or last)[0].state_dict() if improved else before)

@@ -134,7 +134,7 @@ def _model_parts(results: Results) -> list:
                      printed and printed.others, unless_nan(row["delays"]), printed and printed.delays,
                      unless_nan(row["parameters"]), unless_nan(row["fit_time"]), row["command"] or None])
     header = ["robot", "method", "n", "paper", "controlled samples", "paper", "decays", "paper", "delays", "paper",
-              "parameters", "fit (s)", "settings"]
+              "parameters", "fit (CPU s)", "settings"]
     caption = ("State dimension n, training data, delays and parameters of every model, beside the paper's Table 1 (of "
                "the static pregain set points in place of decays), and how its settings were found.")
     return [Table(header, rows, caption)] if rows else []

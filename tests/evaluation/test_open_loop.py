@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from ssmr_torch.data.starts import draw_starts
-from ssmr_torch.evaluation.open_loop import compare_open_loop, format_table, score_open_loop
+from ssmr_torch.evaluation.comparison import format_table
+from ssmr_torch.evaluation.open_loop import compare_open_loop, score_open_loop
 from ssmr_torch.evaluation.predictors import Predictor, constant_velocity, persistence
 from ssmr_torch.evaluation.rollouts import predict_trajectory
 from ssmr_torch.models.ssmr import SSMR
@@ -201,13 +202,87 @@ def test_models_of_any_delay_and_timestep_and_the_baselines_share_their_starts()
             np.testing.assert_array_equal(scores[name][label].errors, scores["persistence"][label].errors)
 
 
-def test_a_model_of_coarser_timestep_is_stepped_on_every_so_manieth_sample():
-    """At 5 DT the horizon of 0.23 s holds 4 steps; each covers five samples of the ramp."""
-    score = score_open_loop(persistence(5 * DT), [line(100)], horizons=(0.23,))["230 ms"]
-    assert (score.steps, score.duration) == (4, pytest.approx(0.2))
-    np.testing.assert_allclose(score.errors, 5 * DT * 0.5 * np.sqrt(5 * 9 / 6), rtol=1e-9)
-    decay = scalar_model(rate=-2.0, timestep=5 * DT)
-    assert score_open_loop(decay, [exponential(200)])["1 s"].mean < 1e-6
+def drift(step, model_timestep, initial=None):
+    """ŷ_k = y_0 + k step, once per `model_timestep`, whatever the inputs."""
+    def predict(window, window_inputs, inputs):
+        return window[:, -1:] + np.arange(1, inputs.shape[1] + 1)[:, None] * np.asarray(step)
+
+    return Predictor(predict, 0, model_timestep, DT, initial=initial)
+
+
+@pytest.mark.parametrize("stride", [2, 5, 20])
+def test_models_of_any_step_are_compared_at_every_sample_and_agree_where_the_motion_is_straight(stride):
+    """Both predict 0.1 m/s where the robot moves at 0.3: they err by the same at the same 23 instants."""
+    fine, coarse = (score_open_loop(drift([0.1 * DT * n, -0.4 * DT * n], n * DT), [line(100)], horizons=(0.05, 0.23))
+                    for n in (1, stride))
+    for one, other in zip(fine.horizons, coarse.horizons):
+        assert (one.steps, one.duration) == (other.steps, other.duration)
+        np.testing.assert_allclose(one.errors, other.errors, rtol=1e-9)
+    assert (coarse["230 ms"].steps, coarse["230 ms"].duration) == (23, pytest.approx(0.23))
+
+
+def test_a_model_of_coarse_steps_pays_for_what_it_does_not_see_between_them():
+    """dy/dt = −2 y by steps of 0.1 s, exact at its own: in between the error is that of a chord of e^{−2t}."""
+    inside = np.arange(1, 100) / 10
+    low, high = np.exp(-0.2 * np.floor(inside)), np.exp(-0.2 * np.ceil(inside))
+    chord = low + (inside - np.floor(inside)) * (high - low) - np.exp(-0.2 * inside)
+    expected = np.sqrt(np.append(chord, 0.0) @ np.append(chord, 0.0) / 100)
+    found = score_open_loop(scalar_model(rate=-2.0, timestep=10 * DT), [exponential(102)], horizons=(1.0,))["1 s"]
+    assert found.errors[0] == pytest.approx(expected * np.exp(-2.0 * DT), rel=1e-2)
+
+
+def test_between_the_start_and_the_first_step_a_model_is_seen_from_its_own_initial_output():
+    """A chart that misses y_0 by 1 m and is right at its steps of 4 samples errs by 3/4, 2/4, 1/4, 0."""
+    off = drift([0.0], 4 * DT, initial=lambda window, window_inputs: window[:, -1] + 1.0)
+    found = score_open_loop(off, [run(np.ones(60))], horizons=(0.04,))["40 ms"]
+    np.testing.assert_allclose(found.errors, np.sqrt((9 + 4 + 1) / 16 / 4), rtol=1e-12)
+
+
+def test_a_step_sees_the_mean_of_its_inputs_and_none_after_the_horizon():
+    """y sums the inputs of each sample. Steps of 4 in a horizon of 6: the second one holds its second input to its end.
+    """
+    inputs = np.random.default_rng(4).normal(size=(40, 1))
+    seen = []
+
+    def predict(window, window_inputs, given):
+        seen.append(given)
+        return np.zeros((len(given), given.shape[1], 1))
+
+    score_open_loop(Predictor(predict, 0, 4 * DT, DT), [run(np.ones(40), inputs)], horizons=(0.06,), starts=10**6)
+    starts = np.arange(1, 34)
+    np.testing.assert_allclose(seen[0][:, 0, 0], [inputs[k:k + 4].mean() for k in starts])
+    np.testing.assert_allclose(seen[0][:, 1, 0], [(inputs[k + 4, 0] + 3 * inputs[k + 5, 0]) / 4 for k in starts])
+
+
+def test_the_noise_of_the_loop_is_on_the_windows_only_and_the_clean_score_stays_what_it_was():
+    """Persistence at a robot at rest errs by nothing, with noise by what is on the newest sample, all the horizon long:
+    √(chi² of two outputs), on average σ √(π/2).
+    """
+    runs, sigma = [run(np.zeros((3000, 2)) + 1.0)], 0.02
+    plain = score_open_loop(persistence(DT), runs, starts=2000)
+    score = score_open_loop(persistence(DT), runs, starts=2000, noise=sigma)
+    assert score["200 ms"].mean == plain["200 ms"].mean == 0.0 and plain.noisy is None
+    assert score.noisy["200 ms"].mean == pytest.approx(sigma * np.sqrt(np.pi / 2), rel=0.05)
+    assert score.noisy.noise == sigma and score.as_dict()["noisy"]["noise"] == sigma
+    again = score_open_loop(persistence(DT), runs, starts=2000, noise=sigma)
+    np.testing.assert_array_equal(score.noisy["1 s"].errors, again.noisy["1 s"].errors)
+    with pytest.raises(ValueError, match="noise is -0.1 m; expected a positive standard deviation"):
+        score_open_loop(persistence(DT), runs, noise=-0.1)
+
+
+def test_all_models_see_the_same_noise_from_the_same_starts():
+    scores = compare_open_loop({"again": persistence(DT)}, [line(300)], noise=0.01)
+    for label in ("50 ms", "full"):
+        np.testing.assert_array_equal(scores["again"].noisy[label].errors, scores["persistence"].noisy[label].errors)
+        assert (scores["again"].noisy[label].sample == scores["again"][label].sample).all()
+
+
+def test_the_normalized_mean_trajectory_error_is_the_mean_distance_over_the_largest_size_of_the_run():
+    """‖y‖ rises from 0 to 0.5 · 3.99 m; persistence is off by k DT 0.5 m, on average DT 0.5 (H + 1) / 2."""
+    found = score_open_loop(persistence(DT), [line(400)], horizons=(0.2,))["200 ms"]
+    np.testing.assert_allclose(found.trajectory_errors, DT * 0.5 * 21 / 2 / (0.5 * 3.99), rtol=1e-9)
+    assert found.nmte == found.as_dict()["nmte"] == pytest.approx(DT * 21 / 2 / 3.99)
+    assert score_open_loop(scalar_model(rate=200.0), [exponential(300)])["1 s"].nmte == np.inf
 
 
 @pytest.mark.parametrize("timestep, shown", [(0.015, "1.5 times"), (0.004, "0.4 times"),
@@ -239,9 +314,11 @@ def test_a_horizon_that_no_trajectory_holds_is_refused_with_both_numbers():
         score_open_loop(persistence(DT), [line(50), line(80)])
 
 
-def test_a_horizon_shorter_than_a_step_is_refused():
-    with pytest.raises(ValueError, match="shorter than a step"):
-        score_open_loop(persistence(10 * DT), [line(400)], horizons=(0.05,))
+def test_a_horizon_shorter_than_a_sample_is_refused_and_one_shorter_than_a_step_is_interpolated():
+    with pytest.raises(ValueError, match="shorter than a sample"):
+        score_open_loop(persistence(DT), [line(400)], horizons=(0.5 * DT,))
+    fine, coarse = (score_open_loop(persistence(n * DT), [line(400)], horizons=(0.05,)) for n in (1, 10))
+    np.testing.assert_array_equal(fine["50 ms"].errors, coarse["50 ms"].errors)
 
 
 def test_a_margin_shorter_than_the_window_is_refused():

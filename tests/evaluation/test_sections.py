@@ -175,6 +175,17 @@ def test_open_loop_errors_are_shown_in_millimetres_and_diverged_ones_left_out(tm
     assert "on the whole set" in section.parts[0] and not parts_of(section, Picture)
 
 
+def test_groups_of_runs_have_tables_of_their_own_with_marks_and_rows_for_the_noise_of_the_loop(tmp_path):
+    scored = {"horizons": [horizon("1 s", 1e-3) | {"nmte": 0.05}], "marks": {"1 s": "="}, "noise": 0.0,
+              "noisy": {"horizons": [horizon("1 s", 2e-3) | {"nmte": 0.1}], "marks": {"1 s": "*"}, "noise": 3e-5}}
+    path = written(tmp_path / "scores.json", {"scores": {"SSMR": scored}, "groups": {"fast": {"SSMR": scored},
+                                                                                     "decays": {"SSMR": scored}}})
+    fast, decays = parts_of(open_loop_section(path), Table)
+    assert fast.caption.startswith("fast: ") and decays.caption.startswith("decays: ")
+    assert fast.header == ["model", "1 s (mm)", "NMTE, 1 s (%)", "diverged (%)"]
+    assert fast.rows == [["SSMR", "1 =", 5.0, 0.0], ["SSMR, noise 0.03 mm", "2 *", 10.0, 0.0]]
+
+
 def fit_report(**changes):
     regression = {"rows": 100, "features": 9, "condition": 12.0, "ridge": 0.0, "relative_residual": 0.05}
     return {"regressions": {"drift": regression}, "trajectories": {"decay": 4, "controlled": 2},

@@ -77,6 +77,29 @@ def test_persistence_is_scored_as_by_hand(data, dmd):
     assert list(table) == ["DMD", "persistence", "constant velocity"] and table["DMD"]["full"].mean < 1e-9
 
 
+def test_a_model_of_coarse_steps_is_scored_by_what_it_predicts_at_every_sample(data):
+    model = ssmr.fit(data, "dmd", timestep=0.05, progress=False)
+    found = ssmr.score(model, data, horizons=[0.23], starts=30)["DMD"]["230 ms"]
+    run, delays, apart = data.select("test")[0], model.delays, round(model.window_timestep / model.sampling_time)
+    errors = []
+    for start in found.sample:
+        seen = start + apart * np.arange(-delays, 1)
+        past = np.array([run.input[k:k + apart].mean(axis=0) for k in seen[:-1]]).reshape(delays, -1)
+        predicted = model.predict(run.observation[seen], run.input[start:start + 23], past)
+        errors.append(np.sqrt(((predicted - run.observation[start + 1:start + 24]) ** 2).sum(axis=1).mean()))
+    np.testing.assert_allclose(found.errors, errors, rtol=1e-9)
+
+
+def test_runs_of_several_kinds_are_printed_apart_with_and_without_noise(data, dmd):
+    table = ssmr.score(dmd, data, split=None, kind=None, starts=40, noise=1e-3, horizons=[0.1])
+    assert {"decays", "all controlled"} <= set(table.groups) and "decays" in repr(table)
+    assert len(table["DMD"]["100 ms"].errors) == 40 == len(table.groups["decays"]["DMD"]["100 ms"].errors)
+    assert table["DMD"].noisy["100 ms"].mean > 1e-4 > table["DMD"]["100 ms"].mean and "DMD, noise 1 mm" in repr(table)
+    assert table._repr_html_().count("<table>") == len(table.groups)
+    better = table.difference("DMD", "persistence", "100 ms")
+    assert better.low <= better.mean <= better.high < 0
+
+
 def test_several_models_are_scored_from_the_same_starts(data, dmd):
     table = ssmr.score({"one": dmd, "two": dmd}, data, starts=20)
     assert (table["one"]["1 s"].errors == table["two"]["1 s"].errors).all() and len(table) == 4

@@ -165,3 +165,20 @@ def test_predictions_start_from_windows_with_noise_and_are_compared_with_what_wa
     """A model that stays where it starts, off by the noise of its start."""
     noisy = measured(np.ones(12), noise=0.25)
     assert scores(constant_model(0.0), noisy)["rmse"] == pytest.approx(0.25, rel=1e-12)
+
+
+def test_controlled_runs_are_what_a_fit_is_judged_by_and_decays_stand_beside_them():
+    """A model that stays is exact on the one controlled run and off by 1 on 74 decays, which would decide a mean."""
+    def runs(kind, levels, count):
+        return [Trajectory(0.1 * np.arange(len(levels)), levels[:, None], np.zeros((len(levels), 1)), kind)
+                for _ in range(count)]
+
+    rest, leap = np.ones(12), np.r_[1.0, 1.0, np.zeros(10)]
+    together = (*runs("decay", leap, 74), *runs("controlled", rest, 1))
+    found = scores(constant_model(0.0), ScoredRuns(together, together, 1.0, 50, 0))
+    assert found["rmse"] == found["diverged"] == 0.0 == found["rmse_persistence"]
+    assert found["rmse_decays"] == pytest.approx(1.0) and found["diverged_decays"] == 0.0
+    alone = scores(constant_model(0.0), ScoredRuns(together[:-1], together[:-1], 1.0, 50, 0))
+    assert alone["rmse"] == pytest.approx(1.0) == alone["rmse_persistence"] and "rmse_decays" not in alone
+    short = (*runs("decay", leap, 2), *runs("controlled", rest[:5], 1))  # too short to be judged by
+    assert scores(constant_model(0.0), ScoredRuns(short, short, 1.0, 50, 0))["rmse"] == pytest.approx(1.0)
