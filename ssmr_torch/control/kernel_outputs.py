@@ -6,7 +6,7 @@ markers: rows (first coordinate, first output, how many, weight, r₀, e) as `Mi
 from __future__ import annotations
 
 from ssmr_torch.control.condensing import compiled
-from ssmr_torch.models.output_coordinates import COSINE, SINC, SINC_SLOPE
+from ssmr_torch.models.output_coordinates import COSINE, SINC, SINC_SLOPE, SPREAD
 
 
 @compiled
@@ -19,9 +19,9 @@ def count_outputs(markers, coordinates):
 
 
 @compiled
-def _series(coefficients, t):
-    """Σ_k coefficients[k] t^k."""
-    total = 0.0
+def _series(coefficients, square):
+    """Σ_k coefficients[k] (square / SPREAD)^k."""
+    t, total = square / SPREAD, 0.0
     for k in range(len(coefficients) - 1, -1, -1):
         total = coefficients[k] + t * total
     return total

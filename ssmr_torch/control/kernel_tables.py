@@ -27,9 +27,9 @@ class KernelTables(NamedTuple):
     held input changes, and where its terms begin and how many there are; terms (E, 2): place of a monomial of u in the
     closure of u, and a factor; fields (n, E): what it multiplies. With _z (n n rows): of ∂f/∂z; with _u (n rows, m
     blocks of columns): of ∂f/∂u. output (p, ·), output_z (p n, ·): of y and ∂y/∂z, or (p', ·), (p' n, ·) of ξ and ∂ξ/∂z
-    where markers (·, 8) has rows: y = χ⁻¹(ξ), see `kernel_outputs`. linear (n, n): what is linear in z; edge (n,): where
-    other terms saturate, empty where they do not. variables: length of x. scheme, length (s): of Runge-Kutta substeps
-    or Euler steps. count: evaluations of the dynamics in a step.
+    where markers (·, 8) has rows: y = χ⁻¹(ξ), see `kernel_outputs`. linear (n, n): what is linear in z; edge (n,):
+    where other terms saturate, empty where they do not. variables: length of x. scheme, length (s): of Runge-Kutta
+    substeps or Euler steps. count: evaluations of the dynamics in a step.
     """
 
     products: np.ndarray
@@ -58,8 +58,8 @@ class KernelTables(NamedTuple):
 
 
 def tables_of(model) -> KernelTables:
-    """The kernel's tables of a `PolynomialModel` whose observables are not lifted anew, and whose output coordinates, if
-    it has any, are known by their `markers`.
+    """The kernel's tables of a `PolynomialModel` whose observables are not lifted anew, and whose output coordinates,
+    if it has any, have `markers`.
     """
     count = 4 * model.substeps if model.flow else model.repeats
     states, inputs, folded = _folded(model)

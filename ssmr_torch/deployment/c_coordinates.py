@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ssmr_torch.deployment.c_text import table
-from ssmr_torch.models.output_coordinates import COSINE, SINC, SINC_SLOPE, TINY
+from ssmr_torch.models.output_coordinates import ARCTANGENT, COSINE, HALVINGS, SINC, SINC_SLOPE, SPREAD, TINY
 from ssmr_torch.models.polynomial import PolynomialModel
 
 
@@ -26,16 +26,18 @@ def coordinates(model: PolynomialModel) -> Coordinates:
         return Coordinates({}, "", 0, 0)
     markers, latent = model.coordinates.markers(), model.latent_dim
     if markers is None:
-        raise ValueError(f"the output coordinates {model.coordinates.words} have no C form, which has constant-curvature "
-                         "arcs, plain outputs, and mixtures of these; leave c out of the formats (torch, onnx and casadi "
-                         "serve them), or fit with coordinates of this package")
+        raise ValueError(f"the output coordinates {model.coordinates.words} have no C form: C knows constant-curvature "
+                         "arcs, plain outputs and mixtures of these; leave c out of the formats (torch, onnx and "
+                         "casadi serve them), or fit with coordinates of this package")
     code = (table("marker", markers[:, :3].astype(np.int64), "first coordinate, first output, how many")
             + table("arc", markers[:, 3:], "weight, length at rest or 0 for plain outputs, axis")
-            + table("sinc", np.array(SINC), "sin(a)/a as a power series in a^2")
+            + table("arctangent", np.array(ARCTANGENT), f"atan(x)/x by x^2 / {SPREAD:g}")
+            + table("sinc", np.array(SINC), f"sin(a)/a by a^2 / {SPREAD:g}")
             + table("sinc_slope", np.array(SINC_SLOPE), "its derivative by a^2")
-            + table("cosine", np.array(COSINE), "cos(a)")
-            + SERIES + TO_COORDINATES.replace("@TINY@", repr(TINY)) + FROM_COORDINATES)
-    return Coordinates({"MARKERS": len(markers), "L": latent, "TERMS": len(SINC)}, code,
+            + table("cosine", np.array(COSINE), "cos(a)") + SERIES.replace("@SPREAD@", repr(SPREAD))
+            + TO_COORDINATES.replace("@TINY@", repr(TINY)) + FROM_COORDINATES)
+    return Coordinates({"MARKERS": len(markers), "L": latent, "TERMS": len(SINC), "ARCTANGENTS": len(ARCTANGENT),
+                        "HALVINGS": HALVINGS}, code,
                        (model.delays + 1) * latent + 3, latent * (1 + model.state_dim) + 3)
 
 
@@ -46,7 +48,7 @@ static void to_coordinates(const double *y, double *xi)
     int i, k, q;
     for (k = 0; k < MARKERS; k++) {
         const double *from = y + marker[3 * k + 1], *axis = arc + 5 * k + 2, r0 = arc[5 * k + 1];
-        double *to = xi + marker[3 * k], axial = 0.0, squares = @TINY@, rho, length, angle, along;
+        double *to = xi + marker[3 * k], axial = 0.0, squares = @TINY@, adjacent, over_rho, along;
         q = marker[3 * k + 2];
         if (r0 == 0.0) {
             for (i = 0; i < q; i++)
@@ -59,12 +61,13 @@ static void to_coordinates(const double *y, double *xi)
             to[i] = from[i] + r0 * axis[i] - axial * axis[i];
             squares += to[i] * to[i];
         }
-        rho = sqrt(squares);
-        length = sqrt(axial * axial + rho * rho);
-        angle = 2.0 * atan(rho / (axial + length));
-        along = length / series(sinc, TERMS, angle * angle) - r0;
+        adjacent = axial;
+        for (i = 0; i < HALVINGS; i++)
+            adjacent += sqrt(adjacent * adjacent + squares);
+        over_rho = series(arctangent, ARCTANGENTS, squares / (adjacent * adjacent)) * (1 << HALVINGS) / adjacent;
+        along = (axial * axial + squares) * over_rho - r0;
         for (i = 0; i < q; i++)
-            to[i] = r0 * (angle / rho) * to[i] + along * axis[i];
+            to[i] = r0 * over_rho * to[i] + along * axis[i];
     }
 }
 
@@ -123,9 +126,10 @@ static void from_coordinates(const double *xi, const double *D, double *y, doubl
 """
 
 SERIES = """\
-/* The sum of coefficients[k] t^k. */
-static double series(const double *coefficients, int terms, double t)
+/* The sum of coefficients[k] (square / @SPREAD@)^k. */
+static double series(const double *coefficients, int terms, double square)
 {
+    const double t = square / @SPREAD@;
     double total = coefficients[terms - 1];
     int k;
     for (k = terms - 2; k >= 0; k--)

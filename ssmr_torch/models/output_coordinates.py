@@ -13,12 +13,17 @@ from ssmr_torch.lazy import found
 from ssmr_torch.models.arrays import Array, like, namespace
 
 TERMS = 16  # of the power series; the first one left out is below rounding up to a = π
-TINY = 1e-300
+TINY = 1e-37  # m², added to a lateral square: for a chord straight back along the axis, of no direction
+HALVINGS = 4  # of an angle up to π, of whose tangent then x² < 0.04
 
-# sin(a)/a, its derivative by t = a², and cos(a), as power series in t: smooth, and without a case for a = 0
-SINC = tuple((-1) ** k / factorial(2 * k + 1) for k in range(TERMS))
-SINC_SLOPE = tuple(k * SINC[k] for k in range(1, TERMS))
-COSINE = tuple((-1) ** k / factorial(2 * k) for k in range(TERMS))
+# sin(a)/a, its derivative by a², and cos(a), as power series in t = a² / SPREAD, and atan(x)/x in x² / SPREAD: smooth, and
+# without a case for a = 0. The power of two changes no digit, and no coefficient is so small that an optimizer of ONNX
+# graphs takes it for zero.
+SPREAD = 64.0
+SINC = tuple((-SPREAD) ** k / factorial(2 * k + 1) for k in range(TERMS))
+SINC_SLOPE = tuple(k * SINC[k] / SPREAD for k in range(1, TERMS))
+COSINE = tuple((-SPREAD) ** k / factorial(2 * k) for k in range(TERMS))
+ARCTANGENT = tuple((-SPREAD) ** k / (2 * k + 1) for k in range(12))
 
 
 @dataclass(frozen=True)
@@ -69,8 +74,8 @@ class OutputCoordinates(ABC):
         """
         family = type(self)
         if "<locals>" in family.__qualname__:
-            raise ValueError(f"the output coordinates {family.__qualname__} are a class within a function, which is not "
-                             "found again by its name; write the class at the top of a module")
+            raise ValueError(f"the output coordinates {family.__qualname__} are a class within a function, which is "
+                             "not found again by its name; write the class at the top of a module")
         return {"class": f"{family.__module__}:{family.__qualname__}",
                 **{field.name: getattr(self, field.name) for field in fields(self)}}
 
@@ -128,8 +133,8 @@ class ConstantCurvature(OutputCoordinates):
     def __post_init__(self):
         for base in self.bases:
             if len(base) not in (2, 3) or not 0 < np.linalg.norm(base) < np.inf:
-                raise ValueError(f"a marker's base is {tuple(base)}; expected 2 or 3 finite numbers in m, not all zero: "
-                                 "the vector from the base of the arc to the marker at rest")
+                raise ValueError(f"a marker's base is {tuple(base)}; expected 2 or 3 finite numbers in m, not all "
+                                 "zero: the vector from the base of the arc to the marker at rest")
 
     @property
     def words(self) -> str:
@@ -143,22 +148,25 @@ class ConstantCurvature(OutputCoordinates):
         xp, parts = namespace(y), []
         for d, e, r0 in self._of_markers(y):
             P = d + r0 * e
-            axial = (P * e).sum(-1)[..., None]
+            axial = (P * e).sum(-1, keepdims=True)
             lateral = P - axial * e
-            rho = xp.sqrt((lateral * lateral).sum(-1)[..., None] + TINY)
-            length = xp.sqrt(axial * axial + rho * rho)
-            # the half angle has no case of its own for a chord at right angles to the axis
-            angle = 2.0 * xp.arctan(rho / (axial + length))
-            arc = length / _series(SINC, angle * angle)
-            parts.append(r0 * (angle / rho) * lateral + (arc - r0) * e)
+            squares = (lateral * lateral).sum(-1, keepdims=True) + TINY
+            # of the half angle the tangent is ρ / (axial + ‖P‖), and so on: smooth in ρ², without a case of its own for
+            # a chord along the axis or at right angles to it
+            adjacent = axial
+            for _ in range(HALVINGS):
+                adjacent = adjacent + xp.sqrt(adjacent * adjacent + squares)
+            over_rho = 2.0**HALVINGS * _series(ARCTANGENT, squares / (adjacent * adjacent)) / adjacent     # a / ρ
+            # sin a = ρ / ‖P‖
+            parts.append(r0 * over_rho * lateral + ((axial * axial + squares) * over_rho - r0) * e)
         return xp.concatenate(parts, -1)
 
     def inverse(self, xi: Array) -> Array:
         xp, parts = namespace(xi), []
         for d, e, r0 in self._of_markers(xi):
-            along = (d * e).sum(-1)[..., None]
+            along = (d * e).sum(-1, keepdims=True)
             lateral = (d - along * e) / r0
-            t = (lateral * lateral).sum(-1)[..., None]
+            t = (lateral * lateral).sum(-1, keepdims=True)
             sinc = _series(SINC, t)
             parts.append((along + r0) * sinc * (_series(COSINE, t) * e + sinc * lateral) - r0 * e)
         return xp.concatenate(parts, -1)
@@ -277,19 +285,20 @@ def coordinates_from_plain(plain: dict | None) -> OutputCoordinates | None:
     return family.from_plain(values)
 
 
-def _series(coefficients: tuple[float, ...], t: Array) -> Array:
-    """Σ_k coefficients[k] t^k."""
-    total = coefficients[-1] + 0.0 * t
-    for coefficient in coefficients[-2::-1]:
+def _series(coefficients: tuple[float, ...], square: Array) -> Array:
+    """Σ_k coefficients[k] (square / SPREAD)^k."""
+    t = square / SPREAD
+    total = coefficients[-2] + coefficients[-1] * t
+    for coefficient in coefficients[-3::-1]:
         total = coefficient + t * total
     return total
 
 
 def _arc_jacobian(d: Array, e: Array, r0: float) -> Array:
     """∂y/∂ξ of one marker, (..., q, q)."""
-    along = (d * e).sum(-1)[..., None]
+    along = (d * e).sum(-1, keepdims=True)
     lateral = (d - along * e) / r0
-    t = (lateral * lateral).sum(-1)[..., None]
+    t = (lateral * lateral).sum(-1, keepdims=True)
     sinc, cosine, slope = _series(SINC, t), _series(COSINE, t), _series(SINC_SLOPE, t)
     q = d.shape[-1]
     across = (like(d, np.eye(q)) - e[:, None] * e) / r0                       # ∂lateral/∂ξ
