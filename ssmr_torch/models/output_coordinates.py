@@ -16,9 +16,9 @@ TERMS = 16  # of the power series; the first one left out is below rounding up t
 TINY = 1e-37  # m², added to a lateral square: for a chord straight back along the axis, of no direction
 HALVINGS = 4  # of an angle up to π, of whose tangent then x² < 0.04
 
-# sin(a)/a, its derivative by a², and cos(a), as power series in t = a² / SPREAD, and atan(x)/x in x² / SPREAD: smooth, and
-# without a case for a = 0. The power of two changes no digit, and no coefficient is so small that an optimizer of ONNX
-# graphs takes it for zero.
+# sin(a)/a, its derivative by a², and cos(a), as power series in a² / SPREAD, and atan(x)/x in x² / SPREAD: smooth, and
+# without a case for a = 0. The power of two changes no digit, and leaves no coefficient so small that an optimizer of
+# ONNX graphs takes it for zero.
 SPREAD = 64.0
 SINC = tuple((-SPREAD) ** k / factorial(2 * k + 1) for k in range(TERMS))
 SINC_SLOPE = tuple(k * SINC[k] / SPREAD for k in range(1, TERMS))

@@ -203,7 +203,7 @@ class TrainablePolynomial(PolynomialTorchModel):
     def of(cls, model: PolynomialModel) -> Self:
         """The module of a model, with its values."""
         made = cls(model.plain(), {name: list(array.shape) for name, array in model.arrays.items()})
-        fill((getattr(made, name), array) for name, array in model.arrays.items())
+        fill((getattr(made, name), np.array(array)) for name, array in model.numpy().arrays.items())
         return made
 
     @property
