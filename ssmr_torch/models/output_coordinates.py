@@ -138,8 +138,8 @@ class ConstantCurvature(OutputCoordinates):
 
     @property
     def words(self) -> str:
-        reach = ", ".join(f"{1e3 * np.linalg.norm(base):.4g}" for base in self.bases)
-        return f"angle and length of constant-curvature arcs to {len(self.bases)} markers, {reach} mm from their bases"
+        lengths = ", ".join(f"{1e3 * np.linalg.norm(base):.4g}" for base in self.bases)
+        return f"angle and length of constant-curvature arcs, of {lengths} mm at rest"
 
     def latent(self, output_dim: int) -> int:
         return _agreeing(sum(map(len, self.bases)), output_dim)
