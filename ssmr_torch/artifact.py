@@ -68,7 +68,7 @@ def save(directory: str | Path, model: Model, *, output_names, input_names, rest
     rest, bounds = np.asarray(rest, dtype=np.float64), np.asarray(input_range, dtype=np.float64)
     _validate(model, output_names, input_names, rest, bounds)
     _refuse_foreign(directory)
-    plain = {key: value for key, value in model.plain().items() if isinstance(value, (int, float, str, type(None)))}
+    plain = {key: value for key, value in model.plain().items() if key != "structure"}  # which is long
     card = {"format": FORMAT, "kind": model.kind, "class": _class_of(model), "name": name,
             "model": plain | {"state_dim": model.state_dim},
             "geometry": model.geometry, "units": {"length": "m", "time": "s", "input": input_unit},

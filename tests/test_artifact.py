@@ -78,7 +78,8 @@ def test_the_card_says_what_the_model_is_in_plain_json(saved):
     card = card_of(saved)
     assert card["units"] == {"length": "m", "time": "s", "input": "1"}
     assert card["model"] == {"input_dim": 2, "output_dim": 3, "delays": 2, "timestep": 0.02, "window_timestep": 0.01,
-                             "base_timestep": None, "substeps": 2, "state_dim": 4}
+                             "base_timestep": None, "substeps": 2, "coordinates": None, "reach": 1.0,
+                             "state_dim": 4}
     assert card["class"] == "ssmr_torch.models.polynomial:PolynomialModel" and card["sampling_time"] == 0.01
     assert {key: card[key] for key in DATA} == DATA
     assert (card["format"], card["kind"], card["name"]) == (artifact.FORMAT, "polynomial", "ours")

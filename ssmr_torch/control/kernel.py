@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ssmr_torch.control.condensing import compiled, condensed, copy, split
+from ssmr_torch.control.kernel_outputs import count_outputs, place, place_slopes
 from ssmr_torch.control.kernel_tables import tables_of
 from ssmr_torch.models.structure import SCHEMES
 
@@ -16,8 +17,11 @@ RUNGE_KUTTA, EULER = SCHEMES.index("runge_kutta"), SCHEMES.index("euler")
 
 
 def compiled_polynomial(model) -> tuple | None:
-    """Tables, `rollout` and `condense` of a `PolynomialModel`; None where its observables are lifted anew."""
-    return None if model.structure.relift else (tuple(tables_of(model)), rollout, condense)
+    """Tables, `rollout` and `condense` of a `PolynomialModel`; None where its observables are lifted anew, or its
+    output coordinates are a user's own.
+    """
+    foreign = model.coordinates is not None and model.coordinates.markers() is None
+    return None if model.structure.relift or foreign else (tuple(tables_of(model)), rollout, condense)
 
 
 @compiled
@@ -153,9 +157,10 @@ def _stepped(x, k, start, total, scheme, stage, h):
 def rollout(state, inputs, tables):
     """States (N+1, n) and outputs (N, p) from state (n,) under inputs (N, m)."""
     (products, u_products, free, columns, terms, fields, _, _, _, _, _, _, _, _, output, _, linear, edge, variables,
-     scheme, h, count) = tables
+     markers, scheme, h, count) = tables
     N, n, m = len(inputs), len(state), inputs.shape[1]
-    states, outputs = np.empty((N + 1, n)), np.empty((N, output.shape[0]))
+    states, outputs = np.empty((N + 1, n)), np.empty((N, count_outputs(markers, output.shape[0])))
+    xi, lateral = np.empty(output.shape[0]), np.empty(3)
     rate, powers, work = free.copy(), np.empty(1 + variables + products.shape[1]), np.empty((4, n))
     k, start, total, slopes, x = work[0], work[1], work[2], work[3], np.zeros(n + m)
     within, u_powers, weights = x[:variables], np.empty(1 + m + u_products.shape[1]), np.empty(len(terms))
@@ -178,7 +183,11 @@ def rollout(state, inputs, tables):
             _stepped(z, k, start, total, scheme, application % 4, h)
         copy(z, within)
         powers_of(within, products, powers)
-        table_product(output, powers, outputs[step])
+        if len(markers):
+            table_product(output, powers, xi)
+            place(markers, xi, lateral, outputs[step])
+        else:
+            table_product(output, powers, outputs[step])
     return states, outputs
 
 
@@ -186,8 +195,9 @@ def rollout(state, inputs, tables):
 def linearize(state, inputs, tables):
     """States (N+1, n), outputs (N, p), A (N, n, n), B (N, n, m) of every step, C (N, p, n) of the output after it."""
     (products, u_products, free, columns, terms, fields, free_z, columns_z, terms_z, fields_z, free_u, columns_u,
-     terms_u, fields_u, output, output_z, linear, edge, variables, scheme, h, count) = tables
-    (N, m), n, p = inputs.shape, len(state), output.shape[0]
+     terms_u, fields_u, output, output_z, linear, edge, variables, markers, scheme, h, count) = tables
+    (N, m), n, latent = inputs.shape, len(state), output.shape[0]
+    p, xi, lateral, D = count_outputs(markers, latent), np.empty(latent), np.empty(3), np.empty((latent, n))
     states, outputs = np.empty((N + 1, n)), np.empty((N, p))
     A, B, C = np.empty((N, n, n)), np.empty((N, n, m)), np.empty((N, p, n))
     rate, rate_z, rate_u = free.copy(), free_z.copy(), free_u.copy()
@@ -230,8 +240,14 @@ def linearize(state, inputs, tables):
         split(S, A[step], B[step])
         copy(z, within)
         powers_of(within, products, powers)
-        table_product(output, powers, outputs[step])
-        table_product(output_z, powers, C_rows[step])
+        if len(markers):
+            table_product(output, powers, xi)
+            table_product(output_z, powers, D.reshape(latent * n))
+            place(markers, xi, lateral, outputs[step])
+            place_slopes(markers, xi, D, lateral, C[step])
+        else:
+            table_product(output, powers, outputs[step])
+            table_product(output_z, powers, C_rows[step])
     return states, outputs, A, B, C
 
 

@@ -26,9 +26,10 @@ class KernelTables(NamedTuple):
     x[products[1, i]]; likewise of u. free (n, ·): dynamics without what is folded in. columns (C, 3): a column that the
     held input changes, and where its terms begin and how many there are; terms (E, 2): place of a monomial of u in the
     closure of u, and a factor; fields (n, E): what it multiplies. With _z (n n rows): of ∂f/∂z; with _u (n rows, m
-    blocks of columns): of ∂f/∂u. output (p, ·), output_z (p n, ·): of y and ∂y/∂z. linear (n, n): what is linear in z;
-    edge (n,): where other terms saturate, empty where they do not. variables: length of x. scheme, length (s): of
-    Runge-Kutta substeps or Euler steps. count: evaluations of the dynamics in a step.
+    blocks of columns): of ∂f/∂u. output (p, ·), output_z (p n, ·): of y and ∂y/∂z, or (p', ·), (p' n, ·) of ξ and ∂ξ/∂z
+    where markers (·, 8) has rows: y = χ⁻¹(ξ), see `kernel_outputs`. linear (n, n): what is linear in z; edge (n,):
+    where other terms saturate, empty where they do not. variables: length of x. scheme, length (s): of Runge-Kutta
+    substeps or Euler steps. count: evaluations of the dynamics in a step.
     """
 
     products: np.ndarray
@@ -50,13 +51,16 @@ class KernelTables(NamedTuple):
     linear: np.ndarray
     edge: np.ndarray
     variables: int
+    markers: np.ndarray
     scheme: int
     length: float
     count: int
 
 
 def tables_of(model) -> KernelTables:
-    """The kernel's tables of a `PolynomialModel` whose observables are not lifted anew."""
+    """The kernel's tables of a `PolynomialModel` whose observables are not lifted anew, and whose output coordinates,
+    if it has any, have `markers`.
+    """
     count = 4 * model.substeps if model.flow else model.repeats
     states, inputs, folded = _folded(model)
     joint_states, joint = _joint(model)
@@ -68,6 +72,7 @@ def tables_of(model) -> KernelTables:
     return KernelTables(
         _index(products(states)), _index(products(inputs)), *folded, output, by_state,
         np.ascontiguousarray(model.linear_part), np.array(model.edge if model.structure.saturated else ()), variables,
+        np.zeros((0, 8)) if model.coordinates is None else np.ascontiguousarray(model.coordinates.markers()),
         SCHEMES.index(model.structure.scheme),
         model.timestep / model.substeps if model.flow else model.base_timestep, count)
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ssmr_torch.deployment import c_coordinates as bent
 from ssmr_torch.deployment import c_polynomial_text as text
 from ssmr_torch.deployment.c_steps import FLOW, flow_scratch, map_scratch, map_steps
 from ssmr_torch.deployment.c_text import Family, product, table, times
@@ -24,15 +25,18 @@ class Piece(NamedTuple):
 
 
 def polynomial(model: PolynomialModel) -> Family:
-    """Chart, dynamics, the step that their scheme asks for, parametrization; each by its own tables."""
-    model = _as_one_map(model)
+    """Chart, dynamics, the step that their scheme asks for, parametrization; each by its own tables.
+
+    Raises ValueError for output coordinates that have no C form.
+    """
+    model, placed = _as_one_map(model), bent.coordinates(model)
     chart, dynamics, output = _chart(model), _dynamics(model), _output(model)
     step = _step(model)
     pieces = (chart, dynamics, step, output)
-    sizes = {name: size for piece in pieces for name, size in piece.sizes.items()}
-    code = text.MULTIPLY_OUT + "".join(piece.code for piece in pieces)
-    return Family(sizes, code, max(chart.scratch, output.scratch, dynamics.scratch + step.scratch),
-                  mathematics=model.structure.saturated)
+    sizes = {name: size for piece in pieces for name, size in piece.sizes.items()} | placed.sizes
+    code = text.MULTIPLY_OUT + placed.code + "".join(piece.code for piece in pieces)
+    scratch = max(chart.scratch + placed.encoding, output.scratch + placed.decoding, dynamics.scratch + step.scratch)
+    return Family(sizes, code, scratch, mathematics=model.structure.saturated or model.coordinates is not None)
 
 
 def _as_one_map(model: PolynomialModel) -> PolynomialModel:
@@ -71,7 +75,7 @@ def _dynamics(model: PolynomialModel) -> Piece:
                  + _rest("rest_slope_times", rows * n, parts.free_z.shape[1] - qs))
     if saturates:
         edge = np.minimum(model.edge, np.finfo(float).max)
-        code += table("edge", edge, "largest states of the training") + text.SATURATED
+        code += table("edge", edge, "from where on the states saturate") + text.SATURATED
     slopes = text.LINEAR_SLOPES if linear else "    held_slope_times(held->slope, powers, F);\n" + (
         "    rest_slope_times(slope_free + QS * R * N, powers + QS, F);\n" * (parts.free_z.shape[1] > qs))
     seen = f"    multiply_out({'seen' if saturates else 'z'}, N, state_parent, state_factor, Q - 1 - N, powers);\n"
@@ -121,10 +125,11 @@ def _step(model: PolynomialModel) -> Piece:
 
 def _chart(model: PolynomialModel) -> Piece:
     """`encode_window`, and the chart's monomials, which a model that lifts anew uses again."""
-    structure, window = model.structure, model.window_dim
+    structure, window = model.structure, model.latent_window
+    bends = model.coordinates is not None
     order, monomials = np.array(structure.window_order), structure.chart
     code = _declare("chart", monomials) + table("order", order, "which values of [window, inputs] the chart sees")
-    seen = "window[order[i]]"
+    seen = f"{'latent' if bends else 'window'}[order[i]]"
     if model.takes_past_inputs:
         seen = f"order[i] < {window} ? {seen} : inputs[order[i] - {window}]"
     if len(model.window_scale):
@@ -135,7 +140,8 @@ def _chart(model: PolynomialModel) -> Piece:
         code += times("chart", output_table(Form(monomials, model.chart), monomials), "chart")
     if not len(model.chart) or structure.relift:
         code += table("chart_position", monomials.positions, "which of the products the state holds")
-    code += _filled(text.ENCODE, {"SEEN": seen, "CHART": chart})
+    code += _filled(text.ENCODE, {"SEEN": seen, "CHART": chart, "LATENT": bent.LATENT * bends,
+                                  "BEND": bent.BEND * bends})
     return Piece({"O": len(order), "QV": len(monomials.closure)}, code, len(order) + len(monomials.closure))
 
 
@@ -145,7 +151,7 @@ def _output(model: PolynomialModel) -> Piece:
     tables = output_table(model.output_form, monomials)
     code = (_declare("output", monomials) + times("output", tables, "outputs")
             + times("output_slope", trimmed(derivative_table(tables, monomials)), "Jacobian of the outputs")
-            + text.DECODE)
+            + (text.DECODE if model.coordinates is None else bent.DECODE))
     return Piece({"QW": len(monomials.closure)}, code, len(monomials.closure))
 
 

@@ -16,10 +16,10 @@ static void multiply_out(const double *x, int variables, const int *parent, cons
 """
 
 SATURATED = """\
-/* z where it is not larger than in training; beyond 1 to 1.5 times the largest, with the slope 1 - bend^2. */
-static double saturated(double z, double largest, double *bend)
+/* z within its edge; beyond, 1 to 1.5 times the edge, with the slope 1 - bend^2. */
+static double saturated(double z, double within, double *bend)
 {
-    double over = fabs(z) / largest - 1.0;
+    double over = fabs(z) / within - 1.0;
     *bend = 0.0;
     if (!(over > 0.0))
         return z;
@@ -169,9 +169,9 @@ ENCODE = """\
 static void encode_window(const double *window, const double *inputs, double *z)
 {
     double x[O], powers[QV];
-    int i;
+@LATENT@    int i;
     (void)inputs;
-    for (i = 0; i < O; i++)
+@BEND@    for (i = 0; i < O; i++)
         x[i] = @SEEN@;
     multiply_out(x, O, chart_parent, chart_factor, QV - 1 - O, powers);
 @CHART@}

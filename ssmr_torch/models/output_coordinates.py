@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from math import factorial
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,12 +13,17 @@ from ssmr_torch.lazy import found
 from ssmr_torch.models.arrays import Array, like, namespace
 
 TERMS = 16  # of the power series; the first one left out is below rounding up to a = π
-TINY = 1e-300
+TINY = 1e-37  # m², added to a lateral square: for a chord straight back along the axis, of no direction
+HALVINGS = 4  # of an angle up to π, of whose tangent then x² < 0.04
 
-# sin(a)/a, its derivative by t = a², and cos(a), as power series in t: smooth, and without a case for a = 0
-SINC = tuple((-1) ** k / factorial(2 * k + 1) for k in range(TERMS))
-SINC_SLOPE = tuple(k * SINC[k] for k in range(1, TERMS))
-COSINE = tuple((-1) ** k / factorial(2 * k) for k in range(TERMS))
+# sin(a)/a, its derivative by a², and cos(a), as power series in a² / SPREAD, and atan(x)/x in x² / SPREAD: smooth, and
+# without a case for a = 0. The power of two changes no digit, and leaves no coefficient so small that an optimizer of
+# ONNX graphs takes it for zero.
+SPREAD = 64.0
+SINC = tuple((-SPREAD) ** k / factorial(2 * k + 1) for k in range(TERMS))
+SINC_SLOPE = tuple(k * SINC[k] / SPREAD for k in range(1, TERMS))
+COSINE = tuple((-SPREAD) ** k / factorial(2 * k) for k in range(TERMS))
+ARCTANGENT = tuple((-SPREAD) ** k / (2 * k + 1) for k in range(12))
 
 
 @dataclass(frozen=True)
@@ -27,8 +33,10 @@ class OutputCoordinates(ABC):
     A subclass is a frozen dataclass of plain values (numbers, words, tuples of them), which an artifact holds, and
     writes `forward` and `inverse` with what NumPy and Torch call alike. It is found again by its module and name.
 
-    latent: p', the number of coordinates, p unless a subclass has more.
+    latent: p', the number of coordinates, p unless a subclass has more. linear: whether y is linear in ξ.
     """
+
+    linear: ClassVar[bool] = False
 
     @abstractmethod
     def forward(self, y: Array) -> Array:
@@ -55,9 +63,20 @@ class OutputCoordinates(ABC):
         """What compiled code needs, see `Mixture.markers`; None where it cannot have these coordinates."""
         return None
 
+    @property
+    def words(self) -> str:
+        """What a card says of them."""
+        return f"{type(self).__name__} of {type(self).__module__}"
+
     def plain(self) -> dict:
-        """As JSON has it; `coordinates_from_plain` is its inverse."""
-        return {"class": f"{type(self).__module__}:{type(self).__qualname__}",
+        """As JSON has it; `coordinates_from_plain` is its inverse. Raises ValueError for a class within a function,
+        which nobody finds again.
+        """
+        family = type(self)
+        if "<locals>" in family.__qualname__:
+            raise ValueError(f"the output coordinates {family.__qualname__} are a class within a function, which is "
+                             "not found again by its name; write the class at the top of a module")
+        return {"class": f"{family.__module__}:{family.__qualname__}",
                 **{field.name: getattr(self, field.name) for field in fields(self)}}
 
     @classmethod
@@ -70,7 +89,13 @@ class OutputCoordinates(ABC):
 class Identity(OutputCoordinates):
     """ξ = y, of `size` outputs."""
 
+    linear: ClassVar[bool] = True
+
     size: int
+
+    @property
+    def words(self) -> str:
+        return "the outputs themselves"
 
     def forward(self, y: Array) -> Array:
         return y
@@ -98,11 +123,23 @@ class ConstantCurvature(OutputCoordinates):
         ξ = r₀ a n + (‖P‖ a / sin a − r₀) e,
 
     so that the lateral part is the bending angle, in the length of r₀, and the axial part the change of arc length.
-    bases: c of each marker, 2 or 3 numbers in m. For markers of one plane or of space, all alike.
+    bases: c of each marker, 2 or 3 numbers in m. For markers of one plane or of space, all alike. An arc bends by less
+    than π. Raises ValueError for a base of no direction, or of another number of coordinates.
     [Webster and Jones, Design and kinematic modeling of constant curvature continuum robots, 2010]
     """
 
     bases: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self):
+        for base in self.bases:
+            if len(base) not in (2, 3) or not 0 < np.linalg.norm(base) < np.inf:
+                raise ValueError(f"a marker's base is {tuple(base)}; expected 2 or 3 finite numbers in m, not all "
+                                 "zero: the vector from the base of the arc to the marker at rest")
+
+    @property
+    def words(self) -> str:
+        lengths = ", ".join(f"{1e3 * np.linalg.norm(base):.4g}" for base in self.bases)
+        return f"angle and length of constant-curvature arcs, of {lengths} mm at rest"
 
     def latent(self, output_dim: int) -> int:
         return _agreeing(sum(map(len, self.bases)), output_dim)
@@ -111,22 +148,25 @@ class ConstantCurvature(OutputCoordinates):
         xp, parts = namespace(y), []
         for d, e, r0 in self._of_markers(y):
             P = d + r0 * e
-            axial = (P * e).sum(-1)[..., None]
+            axial = (P * e).sum(-1, keepdims=True)
             lateral = P - axial * e
-            rho = xp.sqrt((lateral * lateral).sum(-1)[..., None] + TINY)
-            length = xp.sqrt(axial * axial + rho * rho)
-            # the half angle has no case of its own for a chord at right angles to the axis
-            angle = 2.0 * xp.arctan(rho / (axial + length))
-            arc = length / _series(SINC, angle * angle)
-            parts.append(r0 * (angle / rho) * lateral + (arc - r0) * e)
+            squares = (lateral * lateral).sum(-1, keepdims=True) + TINY
+            # of the half angle the tangent is ρ / (axial + ‖P‖), and so on: smooth in ρ², without a case of its own for
+            # a chord along the axis or at right angles to it
+            adjacent = axial
+            for _ in range(HALVINGS):
+                adjacent = adjacent + xp.sqrt(adjacent * adjacent + squares)
+            over_rho = 2.0**HALVINGS * _series(ARCTANGENT, squares / (adjacent * adjacent)) / adjacent     # a / ρ
+            # sin a = ρ / ‖P‖
+            parts.append(r0 * over_rho * lateral + ((axial * axial + squares) * over_rho - r0) * e)
         return xp.concatenate(parts, -1)
 
     def inverse(self, xi: Array) -> Array:
         xp, parts = namespace(xi), []
         for d, e, r0 in self._of_markers(xi):
-            along = (d * e).sum(-1)[..., None]
+            along = (d * e).sum(-1, keepdims=True)
             lateral = (d - along * e) / r0
-            t = (lateral * lateral).sum(-1)[..., None]
+            t = (lateral * lateral).sum(-1, keepdims=True)
             sinc = _series(SINC, t)
             parts.append((along + r0) * sinc * (_series(COSINE, t) * e + sinc * lateral) - r0 * e)
         return xp.concatenate(parts, -1)
@@ -165,12 +205,27 @@ class ConstantCurvature(OutputCoordinates):
 class Mixture(OutputCoordinates):
     """Several coordinates of the same outputs side by side, ξ = [χ_1(y), χ_2(y), …], and y = Σ_i w_i χ_i⁻¹(ξ_i).
 
-    parts: the coordinates; weights: w_i, positive, of sum one. What averages models of different coordinates.
+    parts: the coordinates; weights: w_i, positive, of sum one. What averages models of different coordinates; χ⁻¹ is
+    the inverse of χ where all parts say the same. Raises ValueError for weights that are no such, or not one per part.
     """
 
     parts: tuple[OutputCoordinates, ...]
     weights: tuple[float, ...]
     size: int
+
+    def __post_init__(self):
+        right = len(self.weights) == len(self.parts) and all(weight > 0 for weight in self.weights)
+        if not (right and abs(sum(self.weights) - 1.0) < 1e-9):
+            raise ValueError(f"{len(self.parts)} coordinates with the weights {tuple(self.weights)}; expected one "
+                             "positive weight for each, of sum 1")
+
+    @property
+    def linear(self) -> bool:
+        return all(part.linear for part in self.parts)
+
+    @property
+    def words(self) -> str:
+        return " and ".join(f"{weight:.3g} of {part.words}" for part, weight in zip(self.parts, self.weights))
 
     def latent(self, output_dim: int) -> int:
         return sum(part.latent(_agreeing(self.size, output_dim)) for part in self.parts)
@@ -215,29 +270,35 @@ class Mixture(OutputCoordinates):
 
 
 def coordinates_from_plain(plain: dict | None) -> OutputCoordinates | None:
-    """What `plain` gave; None of None. Raises ValueError for a class that is none, ImportError where it is missing."""
+    """What `plain` gave; None of None. Raises ValueError for a class that is none, or that is not installed here."""
     if plain is None:
         return None
     values = dict(plain)
-    family = found(values.pop("class"))
+    try:
+        family = found(values.pop("class"))
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"the class of its output coordinates, {plain['class']}, is not found here ({error}); install "
+                         "the package that has it, or put its module on the path") from error
     if not (isinstance(family, type) and issubclass(family, OutputCoordinates)):
-        raise ValueError(f"{plain['class']} is no class of output coordinates")
+        raise ValueError(f"{plain['class']} is no class of output coordinates; expected a subclass of "
+                         f"{OutputCoordinates.__module__}.{OutputCoordinates.__name__}")
     return family.from_plain(values)
 
 
-def _series(coefficients: tuple[float, ...], t: Array) -> Array:
-    """Σ_k coefficients[k] t^k."""
-    total = coefficients[-1] + 0.0 * t
-    for coefficient in coefficients[-2::-1]:
+def _series(coefficients: tuple[float, ...], square: Array) -> Array:
+    """Σ_k coefficients[k] (square / SPREAD)^k."""
+    t = square / SPREAD
+    total = coefficients[-2] + coefficients[-1] * t
+    for coefficient in coefficients[-3::-1]:
         total = coefficient + t * total
     return total
 
 
 def _arc_jacobian(d: Array, e: Array, r0: float) -> Array:
     """∂y/∂ξ of one marker, (..., q, q)."""
-    along = (d * e).sum(-1)[..., None]
+    along = (d * e).sum(-1, keepdims=True)
     lateral = (d - along * e) / r0
-    t = (lateral * lateral).sum(-1)[..., None]
+    t = (lateral * lateral).sum(-1, keepdims=True)
     sinc, cosine, slope = _series(SINC, t), _series(COSINE, t), _series(SINC_SLOPE, t)
     q = d.shape[-1]
     across = (like(d, np.eye(q)) - e[:, None] * e) / r0                       # ∂lateral/∂ξ

@@ -100,7 +100,8 @@ class PolynomialModel(Model):
     def affine(self) -> bool:
         structure = self.structure
         highest = max(structure.dynamics.highest, structure.parametrization.highest)
-        return highest <= 1 and not structure.relift
+        straight = self.coordinates is None or self.coordinates.linear
+        return highest <= 1 and straight and not structure.relift
 
     @property
     def takes_past_inputs(self) -> bool:
@@ -113,15 +114,18 @@ class PolynomialModel(Model):
     @property
     def geometry(self) -> str:
         rows, n, degree = len(self.parametrization), self.state_dim, self.structure.parametrization.highest
+        seen = super().geometry
+        if self.coordinates is not None:
+            seen += f"; in output coordinates: {self.coordinates.words}"
         if rows == self.latent_dim:
-            return super().geometry
+            return seen
         if rows == n:
             shape = f"p = n = {n}: the parametrization is linear, all nonlinearity sits in the dynamics"
         elif degree == 1:
             shape = f"p = {rows} > n = {n}, parametrization of degree 1: a flat manifold"
         else:
             shape = f"p = {rows} > n = {n}, parametrization of degree {degree}: a curved manifold"
-        return f"{super().geometry}; {shape}"
+        return f"{seen}; {shape}"
 
     @cached_property
     def constant_states(self) -> np.ndarray:

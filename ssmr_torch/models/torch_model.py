@@ -7,6 +7,7 @@ from dataclasses import replace
 from inspect import signature
 from typing import ClassVar, Self
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -180,6 +181,39 @@ class PolynomialTorchModel(TorchModel):
     def _joined(self, parts: tuple[str, ...]) -> Tensor:
         found = [getattr(self, part) for part in parts]
         return found[0] if len(found) == 1 else torch.cat(found, dim=-1)
+
+
+class TrainablePolynomial(PolynomialTorchModel):
+    """A `PolynomialModel` of any structure, as one that was fitted or averaged, with its tables as parameters.
+
+    plain: what the model's `plain()` gave. shapes: of each of its arrays, by name. `of(model)` gives both, and the
+    tables' values. Raises what the model itself raises where the two do not fit.
+    """
+
+    def __init__(self, plain: dict, shapes: dict):
+        model = PolynomialModel.from_plain({name: np.zeros(shape) for name, shape in shapes.items()}, plain)
+        super().__init__(model.state_dim, model.input_dim, model.output_dim, model.delays, model.timestep,
+                         model.window_timestep)
+        self.plain, self.shapes, self.model, self.structure = plain, shapes, model, model.structure
+        for name in ("chart", "parametrization", "dynamics"):
+            setattr(self, name, table(*shapes[name]))
+        self.register_buffer("window_scale", torch.ones(shapes["window_scale"], dtype=torch.float64))
+
+    @classmethod
+    def of(cls, model: PolynomialModel) -> Self:
+        """The module of a model, with its values."""
+        made = cls(model.plain(), {name: list(array.shape) for name, array in model.arrays.items()})
+        fill((getattr(made, name), np.array(array)) for name, array in model.numpy().arrays.items())
+        return made
+
+    @property
+    def reduced(self) -> PolynomialModel:
+        return replace(self.model, **{name: getattr(self, name) for name in self.model.array_names()})
+
+    def at_timestep(self, timestep: float) -> Self:
+        again = type(self)(self.plain | {"timestep": float(timestep)}, self.shapes).to(self.state_scale)
+        again.load_state_dict(self.state_dict())
+        return again
 
 
 class FixedModel(TorchModel):

@@ -12,6 +12,7 @@ from ssmr_torch.control.lqr import StaticPregainController
 from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.control.observers import KalmanObserver
 from ssmr_torch.models.named_structures import koopman
+from ssmr_torch.models.output_coordinates import ConstantCurvature
 from ssmr_torch.tasks.obstacles import Circle
 from ssmr_torch.tasks.references import figure_eight
 
@@ -32,6 +33,12 @@ def lifted(model):
                    base_timestep=model.timestep)
 
 
+def arcs(model):
+    """An oscillator model whose states are angles and lengths of two arcs of 0.1 m, saturated from twice its range."""
+    return replace(model, coordinates=ConstantCurvature(((0.0, 0.0, 0.1), (0.06, 0.0, 0.08))), reach=2.0,
+                   structure=model.structure._replace(saturated=True))
+
+
 CONTROLLERS = {
     "predictive": lambda bench: ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS),
     "predictive, rate limited": lambda bench: ModelPredictiveController(
@@ -43,6 +50,10 @@ CONTROLLERS = {
     "predictive, beside an obstacle": lambda bench: ModelPredictiveController(
         bench.oscillators(), replace(TASK, obstacles=(Circle((0.0, 0.013), 0.002),)), bench.BOUNDS, input_rate=10.0),
     "predictive, by DAQP": lambda bench: ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS, qp="daqp"),
+    "predictive, arcs as outputs": lambda bench: ModelPredictiveController(arcs(bench.oscillators()), TASK,
+                                                                           bench.BOUNDS),
+    "predictive, arcs, observed": lambda bench: ModelPredictiveController(
+        arcs(bench.oscillators()), TASK, bench.BOUNDS, observer=partial(KalmanObserver, extended=True)),
     "static pregain": lambda bench: StaticPregainController(lifted(bench.oscillators()), SLOW, bench.BOUNDS,
                                                             input_weight=1e5),
 }

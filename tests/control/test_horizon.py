@@ -9,6 +9,7 @@ from ssmr_torch.control.horizon import CompiledHorizon, LinearHorizon, Linearize
 from ssmr_torch.control.problem import TrackingProblem
 from ssmr_torch.models.monomials import count_monomials, graded
 from ssmr_torch.models.named_structures import control_augmented, control_augmented_structure, koopman
+from ssmr_torch.models.output_coordinates import ConstantCurvature, Identity, Mixture
 
 
 def problem_of(bench, horizon=6, **changes):
@@ -99,6 +100,33 @@ def test_models_in_discrete_time_have_the_horizon_that_suits_them_and_it_equals_
         for ours, theirs in zip((*horizon.rollout(state, inputs), *horizon.condense(state, inputs, reference)[1:]),
                                 (*twin.rollout(state, inputs), *twin.condense(state, inputs, reference)[1:])):
             assert np.abs(ours - theirs).max() <= 1e-12 * np.abs(theirs).max()
+
+
+ARCS = ConstantCurvature(((0.0, 0.0, 0.05), (0.01, 0.0, -0.04)))
+PLANAR = ConstantCurvature(((0.05, 0.0), (0.0, 0.03), (0.02, 0.02)))
+
+
+@pytest.mark.parametrize("coordinates", [
+    ARCS, PLANAR, Identity(6), Mixture((PLANAR, Identity(6), ARCS), (0.5, 0.2, 0.3), 6),
+    Mixture((Mixture((ARCS, Identity(6)), (0.5, 0.5), 6), PLANAR), (0.25, 0.75), 6)],
+    ids=["arcs", "arcs in a plane", "identity", "mixture", "mixture within"])
+def test_the_kernel_sees_outputs_through_their_coordinates_as_the_model_does(bench, coordinates):
+    rng, sides = np.random.default_rng(3), coordinates.latent(6) // 6
+    model = joint(rng, 2, 2, 2, True, edge=0.02)
+    model = replace(model, coordinates=coordinates, reach=2.0, chart=np.tile(np.eye(6), (1, sides)) / sides,
+                    structure=model.structure._replace(chart=graded(6 * sides, 1, 1),
+                                                       window_order=tuple(range(6 * sides))),
+                    parametrization=np.concatenate([model.parametrization + 0.5 * rng.standard_normal(
+                        model.parametrization.shape) for _ in range(sides)]))
+    problem = problem_of(bench)
+    kernel, twin = horizon_for(model, problem), LinearizedHorizon(model.at_timestep(problem.period), problem)
+    assert type(kernel) is CompiledHorizon
+    for size in (0.0, 0.03, 0.1):
+        state, inputs = size * rng.standard_normal(6), rng.uniform(0, 0.6, (6, 4))
+        reference = problem.reference_ahead(0.2)
+        for ours, theirs in zip((*kernel.rollout(state, inputs), *kernel.condense(state, inputs, reference)),
+                                (*twin.rollout(state, inputs), *twin.condense(state, inputs, reference))):
+            assert ours.shape == theirs.shape and np.abs(ours - theirs).max() <= 1e-12 * np.abs(theirs).max()
 
 
 def test_a_linear_point_that_is_moved_is_the_point_condensed_there(bench):

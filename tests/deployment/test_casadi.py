@@ -40,7 +40,8 @@ def test_so_do_the_steps_of_many_states_lifted_anew(artifacts, tmp_path):
     assert difference(loaded.model, batch, ["step", "step_jacobians"], tmp_path) <= 1e-13
 
 
-@pytest.mark.parametrize("kind", ["SSMR", "EDMD", "control-augmented, saturated", "of no name, euler", "neural ODE"])
+@pytest.mark.parametrize("kind", ["SSMR", "EDMD", "control-augmented, saturated", "of no name, euler", "neural ODE",
+                                  "slow-fast, constant curvature"])
 def test_the_derivatives_that_casadi_finds_are_ours(kind, models):
     model = models[kind]().reduced.numpy()
     step = casadi_program.casadi_functions(model, ["step"])["step"]
@@ -51,6 +52,16 @@ def test_the_derivatives_that_casadi_finds_are_ours(kind, models):
         at = size * model.state_scale * rng.choice([-1.0, 1.0], model.state_dim), rng.uniform(size=model.input_dim)
         for found, ours in zip(derivatives(*at), model.linearize(*at)):
             np.testing.assert_allclose(found.full(), ours, rtol=1e-11, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["slow-fast, constant curvature", "slow-fast, averaged coordinates"])
+def test_so_are_those_of_outputs_in_coordinates(kind, models):
+    model = models[kind]().reduced.numpy()
+    decode = casadi_program.casadi_functions(model, ["decode"])["decode"]
+    z = casadi.SX.sym("z", model.state_dim)
+    slopes = casadi.Function("slopes", [z], [casadi.jacobian(decode(z), z)])
+    for at in (np.zeros(model.state_dim), np.random.default_rng(0).normal(size=model.state_dim)):
+        np.testing.assert_allclose(slopes(at).full(), model.linearize_output(at).C, rtol=1e-11, atol=1e-12)
 
 
 def test_all_functions_take_and_give_names(models):

@@ -15,7 +15,7 @@ NAMES = ("encode", "decode", "step", "step_jacobians")
 # one of each kind and of what may go wrong in each; the slow ones differ from these in degrees or sizes
 UNROLLED = [pytest.param(kind, marks=pytest.mark.slow) for kind in (
     "TPWL", "TPWL, blended", "neural ODE", "SSSR", "SSMR, constant input matrix", "SSMR, quadratic control field",
-    "EDMD, lifted anew")]
+    "EDMD, lifted anew", "slow-fast, constant curvature", "slow-fast, averaged coordinates")]
 SMALLEST = [pytest.param(kind, marks=pytest.mark.slow) for kind in ("one state", "one hidden layer")]
 KINDS = [*UNROLLED, *SMALLEST, "DMD", "EDMD, bilinear", "control-augmented", "one point",
          "control-augmented without delays"]
@@ -68,7 +68,7 @@ def test_an_onnx_graph_computes_what_the_model_computes_and_is_double_everywhere
     from ssmr_torch.deployment import onnx_program
 
     loaded, batch, programs = exported(kind)
-    for name in ("encode", "step_jacobians"):
+    for name in ("encode", "decode", "step_jacobians"):
         path = tmp_path / f"{name}.onnx"
         torch_program.save_onnx(programs[name], path, name)
         onnx_program.finish(path, loaded.card)

@@ -16,10 +16,11 @@ from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
 from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.models.monomials import Monomials, graded
 from ssmr_torch.models.neural_ode import NeuralODE
+from ssmr_torch.models.output_coordinates import ConstantCurvature, Identity, Mixture
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.models.structure import Structure
-from ssmr_torch.models.torch_model import FixedModel, PolynomialTorchModel
+from ssmr_torch.models.torch_model import FixedModel, PolynomialTorchModel, TrainablePolynomial
 from ssmr_torch.models.tpwl import TPWL
 
 
@@ -100,7 +101,39 @@ def random_tpwl(**options):
     return model
 
 
+ARC = ConstantCurvature(((0.2, -0.1, 0.9),))
+AVERAGED = Mixture((ARC, Identity(3)), (0.6, 0.4), 3)
+
+
+def random_slow_fast(coordinates):
+    """A stable saturated map of six slow coordinates and the two newest inputs, a shift register, bilinear in both; the
+    nonlinear terms saturate from twice the range of the training.
+    """
+    n, m, p, delays = 14, 4, 3, 3
+    latent = coordinates.latent(p)
+    width = (delays + 1) * latent
+    terms = [*((k,) for k in range(n + m)), *graded(6, 2, 2).factors, *((i, n + j) for i in range(6) for j in range(m))]
+    order = tuple(range(width + delays * m))
+    structure = Structure(graded(len(order), 1, 1), order, graded(n, 1, 2), Monomials(n + m, terms), "map",
+                          saturated=True)
+    rng = np.random.default_rng(1)
+    chart, dynamics = np.zeros((n, len(order))), np.zeros((n, len(terms)))
+    chart[:6, :width] = np.linalg.qr(rng.normal(size=(width, 6))).Q.T
+    chart[6:, width + m:] = np.eye(2 * m)[[*range(m, 2 * m), *range(m)]]  # the newest first
+    dynamics[:6] = 0.02 * rng.normal(size=(6, len(terms)))
+    dynamics[:6, :6] += 0.9 * np.eye(6)
+    dynamics[6:10, n:n + m], dynamics[10:, 6:10] = np.eye(m), np.eye(m)
+    parametrization = 0.02 * rng.normal(size=(latent, len(structure.parametrization)))
+    parametrization[:, :6] += 0.5 * np.linalg.qr(rng.normal(size=(6, latent))).Q.T
+    return TrainablePolynomial.of(PolynomialModel(
+        structure=structure, chart=chart, parametrization=parametrization, dynamics=dynamics, state_scale=np.ones(n),
+        input_dim=m, output_dim=p, delays=delays, timestep=0.02, window_timestep=0.01, base_timestep=0.01,
+        coordinates=coordinates, reach=2.0))
+
+
 MODELS = {
+    "slow-fast, constant curvature": lambda: random_slow_fast(ARC),
+    "slow-fast, averaged coordinates": lambda: random_slow_fast(AVERAGED),
     "TPWL": lambda: random_tpwl(),
     "TPWL, blended": lambda: random_tpwl(width=0.3),
     "neural ODE": lambda: random_neural_ode(width=16),
@@ -170,6 +203,8 @@ def windows_on_the_manifold(model, z):
     inputs = torch.rand(len(z), model.delays, model.input_dim, dtype=torch.float64)
     if isinstance(model, SSMR):
         return model.reduced.decode_window(z), inputs
+    if isinstance(model, TrainablePolynomial):
+        return window_and_inputs(model, z)
     if isinstance(model, TPWL):  # what its filter expects: the model's own motion from the mean of its states
         expected = model.at_timestep(model.window_timestep).rollout(model.mean.expand(len(z), -1), inputs).states
         return model.decode(expected), inputs
@@ -180,6 +215,24 @@ def windows_on_the_manifold(model, z):
         window = torch.cat([seen, model.decode(z)], dim=1) @ torch.linalg.pinv(rows).T
         return window.unflatten(1, (model.delays + 1, model.output_dim)), inputs
     return 0.3 * torch.randn(len(z), model.delays + 1, model.output_dim, dtype=torch.float64), inputs
+
+
+def window_and_inputs(model, z):
+    """Small windows with the inputs held within them, whose chart is z and whose newest sample w(z), by Newton."""
+    window, inputs = (torch.zeros(model.delays + 1, model.output_dim, dtype=torch.float64),
+                      torch.zeros(model.delays, model.input_dim, dtype=torch.float64))
+    sizes = [window.numel(), inputs.numel()]
+
+    def apart(x, z):
+        seen, held = (part.view(like.shape) for part, like in zip(x.split(sizes), (window, inputs)))
+        return torch.cat([model.encode(seen, held) - z, seen[-1] - model.decode(z)])
+
+    x = torch.zeros(len(z), sum(sizes), dtype=torch.float64)
+    for _ in range(10):
+        slopes = torch.func.vmap(torch.func.jacfwd(apart))(x, z).detach()
+        x = x - (torch.linalg.pinv(slopes) @ torch.func.vmap(apart)(x, z).detach()[..., None])[..., 0]
+    seen, held = x.split(sizes, dim=1)
+    return seen.unflatten(1, window.shape), held.unflatten(1, inputs.shape)
 
 
 def test_decoding_inverts_encoding_on_the_manifold(model, batch):
