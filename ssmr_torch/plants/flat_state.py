@@ -8,18 +8,35 @@ import numpy as np
 
 from ssmr_torch.plants.base import PlantSheet, finite_vector
 
+SLOWEST = 12
+DIFFERENCE = 1e-6                     # of a state, in its unit
+LEAST_FACTOR, LEAST_RATE = 1e-9, 1e-2  # 1, 1/s
+
 
 class FlatStatePlant(PlantSheet):
-    """x⁺ = advance(x, u), y = observe(x) − observe(x_rest), with u held for one timestep and clipped to the bounds.
+    """x⁺ = flow(x, u), y = observe(x) − observe(x_rest), with u held for one timestep and clipped to the bounds.
 
-    A subclass sets what `Plant` names, calls `_settle` with the state at rest, and gives `_advance` and `_observe`;
-    both are functions of their arguments alone, so nothing else has to be saved. Nothing is random: seeds have no
-    effect.
+    A subclass sets what `Plant` names and `substeps`, of which its flow makes a timestep; it gives `_flow` and
+    `_observe`, functions of their arguments alone, so that nothing else has to be saved, and calls `_settle` with the
+    state at rest. Nothing is random: seeds have no effect. Where another package simulates, `_build` makes its
+    objects, named in `ENGINE`; copies, and processes that record, build their own.
     """
 
+    ENGINE: tuple[str, ...] = ()
+
+    def _build(self) -> None:
+        """Set the attributes in `ENGINE` from `parameters`."""
+
+    def __getstate__(self) -> dict:
+        return {name: value for name, value in vars(self).items() if name not in self.ENGINE}
+
+    def __setstate__(self, settings: dict) -> None:
+        vars(self).update(settings)
+        self._build()
+
     @abstractmethod
-    def _advance(self, state: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """The state (n,) one timestep later, u (m,) within the bounds."""
+    def _flow(self, state: np.ndarray, u: np.ndarray, substeps: int) -> np.ndarray:
+        """The state (n,) after so many substeps, u (m,) within the bounds."""
 
     @abstractmethod
     def _observe(self, state: np.ndarray) -> np.ndarray:
@@ -46,22 +63,24 @@ class FlatStatePlant(PlantSheet):
     def step(self, input: np.ndarray) -> np.ndarray:
         """Hold the inputs (m,) for one timestep, clipped to the bounds; a misfit raises ValueError."""
         u = np.clip(finite_vector(input, len(self.input_names), "input"), *self.input_bounds)
-        state = self._advance(self._state, u)
+        state = self._flow(self._state, u, self.substeps)
         if not np.isfinite(state).all():
             raise ValueError(f"{self.name} diverged under the inputs {u.tolist()} {self.input_unit}; the state before "
                              "the step stands; expected finite motion: lower the inputs or the timestep")
         self._state = state
         return self.displacement
 
+    @property
+    def eigenvalues(self) -> np.ndarray:
+        """(12,) of the linearization at rest, 1/s, slowest first, of the map over one substep, differenced centrally.
 
-def step_map_eigenvalues(plant: FlatStatePlant, count: int, share: float = 1e-6) -> np.ndarray:
-    """(count,) of the linearization at rest, 1/s, slowest decay first: log of those of the step map over the timestep.
-
-    The step map is differenced centrally, each state moved by `share` of its unit.
-    """
-    rest, still = plant._resting, np.clip(0.0, *plant.input_bounds)
-    columns = [(plant._advance(rest + shift, still) - plant._advance(rest - shift, still)) / (2 * share)
-               for shift in share * np.eye(rest.size)]
-    factors = np.linalg.eigvals(np.stack(columns, axis=1)).astype(complex)
-    rates = np.log(factors[np.abs(factors) > 1e-9]) / plant.timestep
-    return rates[np.argsort(-rates.real)][:count]
+        What is no motion is left out: states that a step forgets altogether, and those that it never changes, as where
+        a frame is not quite orthonormal.
+        """
+        rest, still = self._resting, np.clip(0.0, *self.input_bounds)
+        columns = [(self._flow(rest + shift, still, 1) - self._flow(rest - shift, still, 1)) / (2 * DIFFERENCE)
+                   for shift in DIFFERENCE * np.eye(rest.size)]
+        factors = np.linalg.eigvals(np.stack(columns, axis=1)).astype(complex)
+        rates = np.log(factors[np.abs(factors) > LEAST_FACTOR]) * self.substeps / self.timestep
+        rates = rates[np.abs(rates) > LEAST_RATE]
+        return rates[np.argsort(np.abs(rates), kind="stable")][:SLOWEST]

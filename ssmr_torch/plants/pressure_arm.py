@@ -8,13 +8,12 @@ import numpy as np
 from numba import njit
 
 from ssmr_torch.plants.base import input_range
-from ssmr_torch.plants.flat_state import FlatStatePlant, step_map_eigenvalues
+from ssmr_torch.plants.flat_state import FlatStatePlant
 
 GRAVITY = 9.81                       # m/s²
 SEGMENTS, ARCS = 2, 2                # bellows, arcs of constant curvature in each
 PIECES = SEGMENTS * ARCS
 LINKS = 4                            # rigid links per arc that carry its mass
-SLOWEST = 8
 OUTPUTS = ("tip_x", "tip_y", "middle_x", "middle_y")
 INPUTS = ("proximal_difference", "distal_difference")
 
@@ -35,9 +34,9 @@ def _acceleration(q, v, pressure, shape, inertia, weight, stiffness, hardening, 
 
 
 @njit(cache=True)
-def _flow(state, u, duration, substeps, lag, constants):
+def _flow(state, u, h, substeps, lag, constants):
     """Runge-Kutta of order four for the arcs; the pressure, linear and by itself, is exact."""
-    h, n = duration / substeps, (len(state) - len(u)) // 2
+    n = (len(state) - len(u)) // 2
     q, v, p = state[:n].copy(), state[n:2 * n].copy(), state[2 * n:].copy()
     for _ in range(substeps):
         middle, end = p, p
@@ -122,11 +121,6 @@ class PressureArm(FlatStatePlant):
         """(2,) Pa, the differences in the chambers now."""
         return self._state[2 * PIECES:].copy()
 
-    @property
-    def eigenvalues(self) -> np.ndarray:
-        """(8,) slowest at rest, 1/s."""
-        return step_map_eigenvalues(self, SLOWEST)
-
     def energy(self) -> float:
         """Kinetic, gravitational and elastic, J, from rest; it only falls while the chambers are empty."""
         q, v = self._state[:PIECES], self._state[PIECES:2 * PIECES]
@@ -135,8 +129,8 @@ class PressureArm(FlatStatePlant):
         kinetic = 0.5 * rate @ (inertia * np.cos(angle[:, None] - angle)) @ rate
         return float(kinetic + weight @ (1 - np.cos(angle)) + stiffness @ (q ** 2 / 2 + hardening * q ** 4 / 4))
 
-    def _advance(self, state: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return _flow(state, u, self.timestep, self.substeps, self._lag, self._constants)
+    def _flow(self, state: np.ndarray, u: np.ndarray, substeps: int) -> np.ndarray:
+        return _flow(state, u, self.timestep / self.substeps, substeps, self._lag, self._constants)
 
     def _observe(self, state: np.ndarray) -> np.ndarray:
         angle = self._shape @ state[:PIECES]
