@@ -29,15 +29,6 @@ class CosseratRod(FlatStatePlant):
     within a silicone does; both act as exact exponentials.   substep: s; the fastest shear mode allows 0.5 ms.
     input_bounds: N, signed.   state: (18 n + 6,), positions (3, n + 1), sections' frames (3, 3, n), velocities
     (3, n + 1), turning (3, n).   Outputs: tip and middle, z up, from the clamp.   Needs the extra `robots`.
-
-    >>> CosseratRod()  # doctest: +SKIP
-    CosseratRod 'Cosserat rod': 2 inputs, 6 outputs
-    ├─ sampling time: 0.01 s (100 Hz)
-    ├─ outputs: tip_x, tip_y, tip_z, middle_x, middle_y, middle_z; displacement from rest, m
-    ├─ inputs
-    │  ├─ force_x: -0.15 … 0.15 N
-    │  └─ force_y: -0.15 … 0.15 N
-    └─ rest: 0, 0, -200.7, 0, 0, -100.5 mm
     """
 
     name, input_unit, ENGINE = "Cosserat rod", "N", ("_simulator", "_rod", "_stepper", "_force")

@@ -11,6 +11,7 @@ from ssmr_torch.periods import whole_multiple
 from ssmr_torch.plants.base import input_range
 from ssmr_torch.plants.flat_state import FlatStatePlant
 
+GRAVITY = 9.81  # m/s²
 SIDES = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
 OUTPUTS = ("tip_x", "tip_y", "tip_z", "middle_x", "middle_y", "middle_z")
 
@@ -28,17 +29,6 @@ class TendonChain(FlatStatePlant):
     silicone (1.5 MPa) of 12 mm, E I / (length of a link).   damping c: N m s/rad.   substep: s, of MuJoCo.
     input_bounds: N.   state: (4 links,), q and q̇.   Outputs: tip and middle of the chain, z up, from the base.
     Needs the extra `robots`.
-
-    >>> TendonChain()  # doctest: +SKIP
-    TendonChain 'tendon chain': 4 inputs, 6 outputs
-    ├─ sampling time: 0.01 s (100 Hz)
-    ├─ outputs: tip_x, tip_y, tip_z, middle_x, middle_y, middle_z; displacement from rest, m
-    ├─ inputs
-    │  ├─ tendon_+x: 0 … 1.2 N
-    │  ├─ tendon_-x: 0 … 1.2 N
-    │  ├─ tendon_+y: 0 … 1.2 N
-    │  └─ tendon_-y: 0 … 1.2 N
-    └─ rest: 0, 0, -192, 0, 0, -96 mm
     """
 
     name, input_unit, ENGINE = "tendon chain", "N", ("_model", "_data")
@@ -46,9 +36,9 @@ class TendonChain(FlatStatePlant):
 
     def __init__(self, *, links: int = 12, length: float = 0.192, mass: float = 0.03, radius: float = 0.012,
                  stiffness: float = 0.095, damping: float = 0.006, timestep: float = 0.01, substep: float = 0.001,
-                 input_bounds: Sequence = (0.0, 1.2)):
+                 input_bounds: Sequence = (0.0, 1.2), gravity: float = GRAVITY):
         require("mujoco")
-        if not (links >= 2 and links % 2 == 0 and min(length, mass, radius, stiffness, damping) > 0):
+        if not (links >= 2 and links % 2 == 0 and min(length, mass, radius) > 0 <= min(stiffness, damping)):
             raise ValueError(f"links is {links}, length {length} m, mass {mass} kg, radius {radius} m, stiffness "
                              f"{stiffness} N m/rad, damping {damping} N m s/rad; expected an even number of links and "
                              "positive values")
@@ -57,7 +47,7 @@ class TendonChain(FlatStatePlant):
         self.input_bounds = input_range(input_bounds, len(SIDES), self.input_unit)
         self.parameters = {"links": links, "length": length, "mass": mass, "radius": radius, "stiffness": stiffness,
                            "damping": damping, "timestep": timestep, "substep": substep,
-                           "input_bounds": self.input_bounds.tolist()}
+                           "input_bounds": self.input_bounds.tolist(), "gravity": gravity}
         self._build()
         self._settle(np.zeros(4 * links))
 
@@ -66,7 +56,7 @@ class TendonChain(FlatStatePlant):
 
         of = self.parameters
         self._model = mujoco.MjModel.from_xml_string(_description(
-            of["links"], of["length"], of["mass"], of["radius"], of["stiffness"], of["damping"], of["substep"]))
+            **{name: of[name] for name in of if name not in ("timestep", "input_bounds")}))
         self._data = mujoco.MjData(self._model)
 
     def energy(self) -> float:
@@ -97,7 +87,7 @@ class TendonChain(FlatStatePlant):
 
 
 def _description(links: int, length: float, mass: float, radius: float, stiffness: float, damping: float,
-                 substep: float) -> str:
+                 substep: float, gravity: float) -> str:
     """MuJoCo's XML. Holes are at both faces of every vertebra, so a tendon runs straight where nothing guides it."""
     link = length / links
     holes = {side: [f'<site site="{side} base"/>'] for side in SIDES}
@@ -117,7 +107,7 @@ def _description(links: int, length: float, mass: float, radius: float, stiffnes
                    f"{sites}{marker}")
     tendons = "".join(f'<spatial name="{side}">{"".join(passed)}</spatial>' for side, passed in holes.items())
     motors = "".join(f'<motor tendon="{side}" gear="-1"/>' for side in SIDES)
-    return (f'<mujoco><option timestep="{substep}" integrator="implicitfast">'
+    return (f'<mujoco><option timestep="{substep}" gravity="0 0 {-gravity}" integrator="implicitfast">'
             f'<flag contact="disable" energy="enable"/></option>'
             f'<default><joint type="hinge" stiffness="{stiffness}" damping="{damping}"/></default>'
             f'<worldbody>{base}{opened}{"</body>" * links}</worldbody>'
