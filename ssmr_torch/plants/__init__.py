@@ -2,7 +2,7 @@
 
     plant = ssmr_torch.plants.Trunk()        # silicone, eight cables, in finite elements; also Diamond
     plant = ssmr_torch.plants.SlowManifold() # analytic: its spectral submanifold is known in closed form
-    plant = ssmr_torch.plants.TendonChain()  # MuJoCo; CosseratRod, ISupport, PlanarHSA, PressureArm: docs/foreign_robots.md
+    plant = ssmr_torch.plants.TendonChain()  # by MuJoCo; four more: docs/foreign_robots.md
     plant = ssmr_torch.plants.Rig(plant, noise_std=1e-4, sensor_delay=0.02)   # the same with a bench's faults
     plant = ssmr_torch.plants.RemotePlant("tcp://0.0.0.0:5555")               # waits for a robot to connect
 """
