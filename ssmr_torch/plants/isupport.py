@@ -29,7 +29,7 @@ class ISupport(SoromoxRobot):
     has the values identified on the real, printed one (geometry: Alessi, Falotico, Lucantonio, IEEE Access 11, 2023):
 
     young: Pa.   viscosity: Pa s.   density: kg/m³ of the chambers' walls, which stand for all that moves with them.
-    pressure_lag: s, of a low-pass at 2.8 Hz, identified as well.   input_bounds: Pa; of 3 bar that were sent to them the
+    pressure_lag: s, of a low-pass at 2.8 Hz, identified as well.   input_bounds: Pa; of 3 bar sent to them the
     real chambers held some 2.3.   state: (18,), strains, their rates and the pressures.   Outputs: end of either
     section, z down, from the base.
     Needs the extra `robots`.
