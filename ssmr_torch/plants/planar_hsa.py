@@ -12,6 +12,7 @@ from ssmr_torch.plants.soromox_robot import SoromoxRobot
 RODS = 2                  # each stands for a pair, one behind the other, that turns together
 GRAVITY = (0.0, 9.81)     # m/s², y down
 WIDTH = 80e-3             # m, of the platform
+LARGEST_TWIST = 3.49      # rad, 200 deg; soromox keeps it and does not apply it
 GEOMETRY = {              # m, per segment
     "length": 59e-3, "proximal_cap_length": 25e-3, "distal_cap_length": 14e-3}
 PER_ROD = {
@@ -65,7 +66,7 @@ class PlanarHSA(SoromoxRobot):
             **{name: 2 * value * ones for name, value in PER_PAIR.items()},
             rod_offset=np.array([[-24e-3, 24e-3]]), reference_strain=np.tile([0.0, 0.0, 1.0], (1, RODS, 1)),
             platform_dimension=np.array([[WIDTH, 12e-3, WIDTH]]), platform_density=np.array([925.0]),
-            end_cap_density=np.array([2 * 710.4]), phi_max=self.input_bounds[1:2], gravity=np.array(GRAVITY),
+            end_cap_density=np.array([2 * 710.4]), phi_max=LARGEST_TWIST * ones, gravity=np.array(GRAVITY),
             platform_mass=np.array(self.parameters["payload"]), platform_center_of_gravity=np.array([0.0, 13.5e-3]),
             end_effector_offset=np.zeros(3), hysteresis_basis=np.zeros((0, 0)), hysteresis_alpha=np.zeros(0),
             hysteresis_A=none, hysteresis_n=none, hysteresis_beta=none, hysteresis_gamma=none)

@@ -1,6 +1,7 @@
 """What is alike in robots whose equations are soromox's: their integration, and where they rest.
 
-Building and compiling one takes some ten seconds of computation, so each is made once per process and setting.
+Building and compiling one takes some ten seconds of computation, so each is made once per process and set of physical
+parameters.
 """
 
 from __future__ import annotations
@@ -18,12 +19,13 @@ from ssmr_torch.plants.flat_state import FlatStatePlant
 
 IMPLICIT = 1 - np.sqrt(0.5)  # γ of the method
 NEWTON_STEPS = 2
+NUMERICAL = ("timestep", "substep", "input_bounds")  # parameters that are no part of soromox's model
 
 
 class Compiled(NamedTuple):
-    """force(q, v, u): what accelerates the robot, M(q) v̇ = force, (n,).   flow(state, u, substeps): the state later.
+    """force(q, v, u): what accelerates the robot, M(q) v̇ = force, (n,).   observe(q): (p,) m.
 
-    observe(q): (p,) m.   stiffness: (n, n) of the springs alone.
+    flow(state, u, h, substeps): the state after so many substeps of h s.   stiffness: (n, n) of the springs alone.
     """
 
     force: Callable
@@ -54,8 +56,8 @@ class SoromoxRobot(FlatStatePlant):
         self._settle(np.concatenate([resting, np.zeros_like(resting), pressures]))
 
     def _build(self) -> None:
-        self._compiled = _compiled(type(self), repr(sorted(self.parameters.items())), self.timestep / self.substeps,
-                                   self._lag, _Recipe(self.robot, self.places))
+        physical = repr(sorted((name, value) for name, value in self.parameters.items() if name not in NUMERICAL))
+        self._compiled = _compiled(type(self), physical, self._lag, _Recipe(self.robot, self.places))
 
     @abstractmethod
     def robot(self):
@@ -80,7 +82,7 @@ class SoromoxRobot(FlatStatePlant):
         return q
 
     def _flow(self, state: np.ndarray, u: np.ndarray, substeps: int) -> np.ndarray:
-        return np.array(self._compiled.flow(state, u, substeps))
+        return np.array(self._compiled.flow(state, u, self.timestep / self.substeps, substeps))
 
     def _observe(self, state: np.ndarray) -> np.ndarray:
         return np.array(self._compiled.observe(state[:len(self._compiled.stiffness)]))
@@ -100,7 +102,7 @@ class _Recipe:
 
 
 @cache
-def _compiled(kind: type, parameters: str, h: float, lag: float, recipe: _Recipe) -> Compiled:
+def _compiled(kind: type, physical: str, lag: float, recipe: _Recipe) -> Compiled:
     import jax
     import jax.numpy as jnp
 
@@ -108,33 +110,35 @@ def _compiled(kind: type, parameters: str, h: float, lag: float, recipe: _Recipe
     robot = recipe.robot()
     size = robot.num_coordinates
     stiffness, damping = robot.stiffness_matrix(), robot.damping_matrix(jnp.zeros(size))
-    newton = damping * (IMPLICIT * h) + stiffness * (IMPLICIT * h) ** 2
 
     def terms(q, v, p):
         mass, inertial, gravity = robot.dynamics_terms(q, v)
         return mass, (robot.actuation_force(q, p, qd=v) - inertial - gravity - robot.elastic_force(q) - damping @ v)
 
-    def stage(q, v, p, guess):
+    def stage(q, v, p, guess, h):
         """Acceleration a with M(q + γ h (v + γ h a)) a = force there, and where that is."""
+        newton = damping * (IMPLICIT * h) + stiffness * (IMPLICIT * h) ** 2
+
         def improved(_, a):
             speed = v + IMPLICIT * h * a
             mass, force = terms(q + IMPLICIT * h * speed, speed, p)
             return a + jnp.linalg.solve(mass + newton, force - mass @ a)
-
         a = jax.lax.fori_loop(0, NEWTON_STEPS, improved, guess)
         speed = v + IMPLICIT * h * a
         return a, speed, q + IMPLICIT * h * speed
 
-    def later(p, u, share):
-        return u + (p - u) * np.exp(-share * h / lag) if lag else u
+    def later(p, u, time):
+        return u + (p - u) * jnp.exp(-time / lag) if lag else u
 
-    def substep(u, state):
+    def substep(u, h, state):
         q, v, p = state[:size], state[size:2 * size], state[2 * size:]
-        first, v1, q1 = stage(q, v, later(p, u, IMPLICIT), jnp.zeros(size))
+        first, v1, q1 = stage(q, v, later(p, u, IMPLICIT * h), jnp.zeros(size), h)
         rest = (1 - IMPLICIT) * h
-        _, v2, q2 = stage(q + rest * v1, v + rest * first, later(p, u, 1.0), first)
-        return jnp.concatenate([q2, v2, later(p, u, 1.0) if lag else p])
+        _, v2, q2 = stage(q + rest * v1, v + rest * first, later(p, u, h), first, h)
+        return jnp.concatenate([q2, v2, later(p, u, h) if lag else p])
 
-    return Compiled(jax.jit(lambda q, v, u: terms(q, v, u)[1]),
-                    jax.jit(lambda state, u, count: jax.lax.fori_loop(0, count, lambda _, x: substep(u, x), state)),
+    def flow(state, u, h, count):
+        return jax.lax.fori_loop(0, count, lambda _, x: substep(u, h, x), state)
+
+    return Compiled(jax.jit(lambda q, v, u: terms(q, v, u)[1]), jax.jit(flow),
                     jax.jit(lambda q: recipe.places(robot, q)), np.array(stiffness))
