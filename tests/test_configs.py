@@ -46,9 +46,16 @@ def test_every_entry_point_has_a_configuration_that_composes(name):
     assert (CONF.parent / "experiments" / f"{name}.py").is_file()
 
 
-# The remote one is there only when its robot is: tests/wire.
-@pytest.mark.parametrize("plant", [name for name in group("plant") if name != "remote"])
+SIMULATED_BY = {"tendon_chain": "mujoco", "cosserat_rod": "elastica", "isupport": "soromox", "planar_hsa": "soromox"}
+SLOW = {name: pytest.mark.slow for name, package in SIMULATED_BY.items() if package == "soromox"}
+
+
+# The remote one is there only when its robot is: tests/wire. soromox compiles for some ten seconds.
+@pytest.mark.parametrize("plant", [pytest.param(name, marks=SLOW.get(name, ()))
+                                   for name in group("plant") if name != "remote"])
 def test_every_plant_is_one(plant):
+    if plant in SIMULATED_BY:
+        pytest.importorskip(SIMULATED_BY[plant], reason="the extra robots is not installed")
     assert isinstance(instantiate(compose("collect", [f"plant={plant}"]).plant), Plant)
 
 

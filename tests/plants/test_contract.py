@@ -7,9 +7,14 @@ import numpy as np
 import pytest
 
 from ssmr_torch.plants.base import Plant
+from ssmr_torch.plants.cosserat_rod import CosseratRod
 from ssmr_torch.plants.diamond import Diamond
+from ssmr_torch.plants.isupport import ISupport
+from ssmr_torch.plants.planar_hsa import PlanarHSA
+from ssmr_torch.plants.pressure_arm import PressureArm
 from ssmr_torch.plants.rig import Rig
 from ssmr_torch.plants.slow_manifold import SlowManifold
+from ssmr_torch.plants.tendon_chain import TendonChain
 from ssmr_torch.plants.trunk import Trunk
 
 CONTINUUM = {"law": "neo_hookean", "mass_distribution": "volume"}
@@ -21,27 +26,41 @@ IDEAL = {
                                               **CONTINUUM),
     "diamond": lambda: Diamond("diamond_coarse"),
     "diamond, BDF2": lambda: Diamond("diamond_coarse", scheme="bdf2", **CONTINUUM),
+    "pressure arm": PressureArm,
+    "tendon chain": TendonChain,
+    "Cosserat rod": CosseratRod,
+    "I-SUPPORT": ISupport,
+    "planar HSA": PlanarHSA,
 }
 PLANTS = IDEAL | {
     "slow manifold on a rig": lambda: Rig(
         SlowManifold(input_bounds=(0.1, 1.5)), noise_std=1e-4, sensor_delay=0.02, drop_probability=0.2,
         actuator_lag=0.03, rate_limit=20.0, saturation=1.2, cable_friction=0.1),
+    "pressure arm before a camera": lambda: Rig(PressureArm(), noise_std=5e-5),
     "diamond on a rig": lambda: Rig(Diamond("diamond_coarse"), noise_std=1e-4, sensor_delay=0.01, cable_friction=0.2),
     "trunk, two outputs on a rig": lambda: Rig(Trunk("trunk_coarse"), outputs=["tip_z", "tip_x"], sensor_delay=0.02),
 }
+# Simulated by a package of the extra robots; soromox compiles for some ten seconds.
+PACKAGES = {"tendon chain": "mujoco", "Cosserat rod": "elastica", "I-SUPPORT": "soromox", "planar HSA": "soromox"}
+
+
+def marked(names):
+    return [pytest.param(name, marks=pytest.mark.slow) if PACKAGES.get(name) == "soromox" else name for name in names]
 
 
 @cache
 def built(name):
+    if name in PACKAGES:
+        pytest.importorskip(PACKAGES[name], reason="the extra robots is not installed")
     return PLANTS[name]()
 
 
-@pytest.fixture(params=PLANTS)
+@pytest.fixture(params=marked(PLANTS))
 def plant(request):
     return deepcopy(built(request.param))
 
 
-@pytest.fixture(params=IDEAL)
+@pytest.fixture(params=marked(IDEAL))
 def ideal(request):
     return deepcopy(built(request.param))
 
