@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ssmr_torch.models.monomials import Monomials
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.selection.least_squares import Moments
 from ssmr_torch.selection.samples import Samples
+from ssmr_torch.selection.windows import longer_window
 
 STRETCH = 25        # samples in which the noise is looked for, where the robot moves least
 RIDGE = 1e-10
@@ -36,12 +36,12 @@ def recharted(model: PolynomialModel, samples: Samples, noise: float, recorded: 
 
     The window becomes the longest that the samples hold. recorded: noise that the recordings themselves have, m.
     """
-    past, m, latent = samples.past, samples.input_dim, model.latent_dim
+    past, latent = samples.past, model.latent_dim
     rows = samples.rows(0, decays=True)
     windows = samples.y[rows[:, None] + np.arange(-past, 1)]
     held = samples.u[rows[:, None] + np.arange(-past, 0)]
     z = model.encode(windows[:, past - model.delays:], held[:, past - model.delays:])
-    longer = _seeing(model, past)
+    longer = longer_window(model, past)
     X = longer.chart_regressors(windows, held)
     moments = Moments.of(X, z)
     extra = np.zeros(X.shape[1])
@@ -49,15 +49,3 @@ def recharted(model: PolynomialModel, samples: Samples, noise: float, recorded: 
     normal = moments.regressors + np.diag(extra)
     chart = Moments(normal, moments.targets, moments.rows).solution(RIDGE)
     return replace(longer, chart=chart)
-
-
-def _seeing(model: PolynomialModel, past: int) -> PolynomialModel:
-    """The model with a chart, of zeros, that sees a whole window of `past` + 1 samples and the inputs within."""
-    window, m = (past + 1) * model.latent_dim, model.input_dim
-    order = tuple(range(window + past * m))
-    structure = model.structure._replace(
-        window_order=order, chart=Monomials(len(order), [(), *((k,) for k in range(len(order)))]))
-    size, highest = float(np.max(model.window_scale[:1])), float(np.max(model.window_scale[-m:]))
-    scale = np.concatenate([np.full(window, size), np.full(past * m, highest)])
-    return replace(model, structure=structure, delays=past, window_scale=scale,
-                   chart=np.zeros((model.state_dim, 1 + len(order))))

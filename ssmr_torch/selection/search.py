@@ -1,4 +1,4 @@
-"""Which specifications are tried, in stages: charts, memory, decays, features, size, memory again."""
+"""Which specifications are tried, in stages: charts, memory, decays, features, size, fibre."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from ssmr_torch.selection.specification import Specification
 from ssmr_torch.selection.trial import Trial
 
 FIRST = (("bilinear", 0, 1e-4), ("configuration_affine", 0, 1e-3), ("cubic", 3, 1e-4), ("full_quadratic", 0, 1e-5))
+FIBRE = 12                          # states of the fast fibre, where one is tried
 RIDGES = (1e-6, 1e-4, 1e-2)
 ACTUATORS = (0.02, 0.05, 0.1, 0.2)  # s, time constants
 
@@ -54,9 +55,12 @@ def search(trial: Trial, *, decays: bool, family: str = "slow_fast", minutes: fl
     stage("size", (changed for each in _charts(trial, 2) for changed in _sizes(each)))
     stage("memory", (replace(each, memory=memory) for each in _charts(trial, 2) for memory in _memories(each, poles)))
     stage("decays", (replace(each, decays=not each.decays) for each in _charts(trial, 2) if decays))
+    if family == "slow_fast":
+        stage("fibre", (replace(each, fibre=FIBRE) for each in trial.best(3)))
 
 
-_FEATURES = (("linear", 0), ("quadratic_map", 0), ("bilinear", 0), ("leading_bilinear", 0), ("quadratic", 0), ("configuration_affine", 0),
+_FEATURES = (("linear", 0), ("quadratic_map", 0), ("bilinear", 0), ("leading_bilinear", 0), ("quadratic", 0),
+             ("configuration_affine", 0),
              ("configuration_affine", 3), ("leading_cubic", 0), ("cubic", 0), ("cubic", 3), ("full_quadratic", 0))
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.selection.candidate import ALL, ClosedForm
+from ssmr_torch.selection.fibre import with_fibre
 from ssmr_torch.selection.refinement import LARGEST, Problem, refine
 from ssmr_torch.selection.rollouts import rolled_out
 from ssmr_torch.selection.samples import FOLDS, Samples, Starts
@@ -88,7 +89,7 @@ class Trial:
         model = closed.model(specification.ridge, fold)
         if specification.pull:
             model = refine(self._problem(closed, model, fold), specification.pull)
-        return model
+        return with_fibre(model, self.samples, specification.fibre, fold) if specification.fibre else model
 
     def final(self, specification: Specification) -> PolynomialModel:
         """The model of all the data."""
