@@ -137,7 +137,8 @@ def friction(recorded: Recorded) -> Finding:
                        "recordings that visit the same inputs from both sides, or less friction.", numbers)
     if CERTAIN * doubt > DOUBTFUL:
         least = f"{100 * CERTAIN * doubt:.2g} %" if CERTAIN * doubt < 1 else "all"
-        return Finding(subject, UNTOLD, f"A loop would be told within ± {least} of the reach only.", UNEXPLAINED, numbers)
+        return Finding(subject, UNTOLD, f"A loop would be told within ± {least} of the reach only.", UNEXPLAINED,
+                       numbers)
     return Finding(subject, GOOD, said, "", numbers)
 
 
