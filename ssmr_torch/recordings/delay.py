@@ -14,6 +14,7 @@ PAST = 6                    # outputs that the prediction knows
 AHEAD = (1, 3, 8)           # samples that it looks ahead
 ROWS = 8000
 SIGNIFICANT = 0.005         # of the residual that the inputs of one lag must explain
+TELLING = 0.05              # that the inputs of the most telling lag must explain, else they are too smooth to tell
 ONSET = 0.1                 # of what the most telling lag explains
 FLOOR = 1e-12               # of the motion, that always remains
 LAST = 4                    # lags that stand for all that is earlier, and tell nothing of their own
@@ -47,7 +48,7 @@ def command_delay(runs: Sequence[Trajectory]) -> Delay:
         residual, chance = _nested(runs, ahead, lags)
         drop = (residual[1:] / residual[:-1] - 1)[:-LAST]  # what the inputs of lag j explain
         matters = np.flatnonzero(drop > max(SIGNIFICANT, chance, ONSET * drop.max()))
-        found = None if not len(matters) else int(lags[matters[0]])
+        found = None if not len(matters) or drop.max() < TELLING else int(lags[matters[0]])
         if found is not None and (best is None or found < best):
             best, shown = found, residual
         shown = residual if shown is None else shown

@@ -65,8 +65,7 @@ def delay(recorded: Recorded) -> Finding:
         return Finding(subject, GOOD, "The robot answers a command at the next sample: no delay.", "", numbers, curves)
     if found.samples < 0:
         return Finding(subject, LOOK, f"The robot moves {-found.samples} samples ({-1e3 * found.samples * step:.3g} "
-                                      "ms) "
-                       "before the command.",
+                       "ms) before the command.",
                        "Inputs are logged late, or a controller answers the robot: shift input rows, so that input[k] "
                        "is held from observation[k] on.", numbers, curves)
     return Finding(subject, LOOK if found.samples * step < 0.2 else MISSING, said,

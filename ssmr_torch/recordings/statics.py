@@ -136,7 +136,9 @@ def friction(recorded: Recorded) -> Finding:
         return Finding(subject, LOOK, said, "No model of the inputs alone explains this: give the model delays, more "
                        "recordings that visit the same inputs from both sides, or less friction.", numbers)
     if CERTAIN * doubt > DOUBTFUL:
-        return Finding(subject, UNTOLD, said, UNEXPLAINED, numbers)
+        least = f"{100 * CERTAIN * doubt:.2g} %" if CERTAIN * doubt < 1 else "all"
+        return Finding(subject, UNTOLD, f"A loop would be told within ± {least} of the reach only.", UNEXPLAINED,
+                       numbers)
     return Finding(subject, GOOD, said, "", numbers)
 
 
