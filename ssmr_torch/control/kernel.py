@@ -154,6 +154,26 @@ def _stepped(x, k, start, total, scheme, stage, h):
 
 
 @compiled
+def _observe(output, powers, markers, xi, lateral, y):
+    """y of a state, by its powers; xi and lateral are filled where there are markers."""
+    if len(markers):
+        table_product(output, powers, xi)
+        place(markers, xi, lateral, y)
+    else:
+        table_product(output, powers, y)
+
+
+@compiled
+def _observe_slopes(output_z, powers, markers, xi, lateral, D, C):
+    """C (p, n) = ∂y/∂z there, after `_observe`; D (p', n) is filled where there are markers."""
+    if len(markers):
+        table_product(output_z, powers, D.reshape(D.size))
+        place_slopes(markers, xi, D, lateral, C)
+    else:
+        table_product(output_z, powers, C.reshape(C.size))
+
+
+@compiled
 def rollout(state, inputs, tables):
     """States (N+1, n) and outputs (N, p) from state (n,) under inputs (N, m)."""
     (products, u_products, free, columns, terms, fields, _, _, _, _, _, _, _, _, output, _, linear, edge, variables,
@@ -183,11 +203,7 @@ def rollout(state, inputs, tables):
             _stepped(z, k, start, total, scheme, application % 4, h)
         copy(z, within)
         powers_of(within, products, powers)
-        if len(markers):
-            table_product(output, powers, xi)
-            place(markers, xi, lateral, outputs[step])
-        else:
-            table_product(output, powers, outputs[step])
+        _observe(output, powers, markers, xi, lateral, outputs[step])
     return states, outputs
 
 
@@ -207,7 +223,7 @@ def linearize(state, inputs, tables):
     vectors, work = np.empty((4, n)), np.empty((4, n * (n + m)))
     k, start, total, slopes, within = vectors[0], vectors[1], vectors[2], vectors[3], x[:variables]
     S_start, S_total, flat_S, flat_K = work[0], work[1], work[2], work[3]
-    S, K, C_rows = flat_S.reshape(n, n + m), flat_K.reshape(n, n + m), C.reshape(N, p * n)
+    S, K = flat_S.reshape(n, n + m), flat_K.reshape(n, n + m)
     copy(state, states[0])
     for step in range(N):
         z = states[step + 1]
@@ -240,14 +256,8 @@ def linearize(state, inputs, tables):
         split(S, A[step], B[step])
         copy(z, within)
         powers_of(within, products, powers)
-        if len(markers):
-            table_product(output, powers, xi)
-            table_product(output_z, powers, D.reshape(latent * n))
-            place(markers, xi, lateral, outputs[step])
-            place_slopes(markers, xi, D, lateral, C[step])
-        else:
-            table_product(output, powers, outputs[step])
-            table_product(output_z, powers, C_rows[step])
+        _observe(output, powers, markers, xi, lateral, outputs[step])
+        _observe_slopes(output_z, powers, markers, xi, lateral, D, C[step])
     return states, outputs, A, B, C
 
 
