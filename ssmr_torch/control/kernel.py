@@ -154,15 +154,35 @@ def _stepped(x, k, start, total, scheme, stage, h):
 
 
 @compiled
+def _observe(output, powers, markers, xi, y):
+    """y of a state, by its powers; xi, the coordinates and three more, is filled where there are markers."""
+    if len(markers):
+        table_product(output, powers, xi)
+        place(markers, xi, xi[len(output):], y)
+    else:
+        table_product(output, powers, y)
+
+
+@compiled
+def _observe_slopes(output_z, powers, markers, xi, D, C):
+    """C (p, n) = ∂y/∂z there, after `_observe`; D (p', n) is filled where there are markers."""
+    if len(markers):
+        table_product(output_z, powers, D.reshape(D.size))
+        place_slopes(markers, xi, D, xi[len(D):], C)
+    else:
+        table_product(output_z, powers, C.reshape(C.size))
+
+
+@compiled
 def rollout(state, inputs, tables):
     """States (N+1, n) and outputs (N, p) from state (n,) under inputs (N, m)."""
     (products, u_products, free, columns, terms, fields, _, _, _, _, _, _, _, _, output, _, linear, edge, variables,
      markers, scheme, h, count) = tables
     N, n, m = len(inputs), len(state), inputs.shape[1]
     states, outputs = np.empty((N + 1, n)), np.empty((N, count_outputs(markers, output.shape[0])))
-    xi, lateral = np.empty(output.shape[0]), np.empty(3)
     rate, powers, work = free.copy(), np.empty(1 + variables + products.shape[1]), np.empty((4, n))
     k, start, total, slopes, x = work[0], work[1], work[2], work[3], np.zeros(n + m)
+    xi = np.empty(output.shape[0] + 3) if len(markers) else k
     within, u_powers, weights = x[:variables], np.empty(1 + m + u_products.shape[1]), np.empty(len(terms))
     copy(state, states[0])
     for step in range(N):
@@ -183,11 +203,7 @@ def rollout(state, inputs, tables):
             _stepped(z, k, start, total, scheme, application % 4, h)
         copy(z, within)
         powers_of(within, products, powers)
-        if len(markers):
-            table_product(output, powers, xi)
-            place(markers, xi, lateral, outputs[step])
-        else:
-            table_product(output, powers, outputs[step])
+        _observe(output, powers, markers, xi, outputs[step])
     return states, outputs
 
 
@@ -197,7 +213,7 @@ def linearize(state, inputs, tables):
     (products, u_products, free, columns, terms, fields, free_z, columns_z, terms_z, fields_z, free_u, columns_u,
      terms_u, fields_u, output, output_z, linear, edge, variables, markers, scheme, h, count) = tables
     (N, m), n, latent = inputs.shape, len(state), output.shape[0]
-    p, xi, lateral, D = count_outputs(markers, latent), np.empty(latent), np.empty(3), np.empty((latent, n))
+    p = count_outputs(markers, latent)
     states, outputs = np.empty((N + 1, n)), np.empty((N, p))
     A, B, C = np.empty((N, n, n)), np.empty((N, n, m)), np.empty((N, p, n))
     rate, rate_z, rate_u = free.copy(), free_z.copy(), free_u.copy()
@@ -207,7 +223,8 @@ def linearize(state, inputs, tables):
     vectors, work = np.empty((4, n)), np.empty((4, n * (n + m)))
     k, start, total, slopes, within = vectors[0], vectors[1], vectors[2], vectors[3], x[:variables]
     S_start, S_total, flat_S, flat_K = work[0], work[1], work[2], work[3]
-    S, K, C_rows = flat_S.reshape(n, n + m), flat_K.reshape(n, n + m), C.reshape(N, p * n)
+    S, K = flat_S.reshape(n, n + m), flat_K.reshape(n, n + m)
+    xi, D = (np.empty(latent + 3), np.empty((latent, n))) if len(markers) else (k, S)
     copy(state, states[0])
     for step in range(N):
         z = states[step + 1]
@@ -240,14 +257,8 @@ def linearize(state, inputs, tables):
         split(S, A[step], B[step])
         copy(z, within)
         powers_of(within, products, powers)
-        if len(markers):
-            table_product(output, powers, xi)
-            table_product(output_z, powers, D.reshape(latent * n))
-            place(markers, xi, lateral, outputs[step])
-            place_slopes(markers, xi, D, lateral, C[step])
-        else:
-            table_product(output, powers, outputs[step])
-            table_product(output_z, powers, C_rows[step])
+        _observe(output, powers, markers, xi, outputs[step])
+        _observe_slopes(output_z, powers, markers, xi, D, C[step])
     return states, outputs, A, B, C
 
 

@@ -74,8 +74,8 @@ static void to_coordinates(const double *y, double *xi)
 """
 
 FROM_COORDINATES = """\
-/* y (P): the outputs of coordinates xi (L); where C is not NULL, C (P, N) = dy/dz of D (L, N) = dxi/dz. */
-static void from_coordinates(const double *xi, const double *D, double *y, double *C)
+/* y (P): the outputs of coordinates xi (L); where C is not NULL, C (P, N) = dy/dz of X (L, N) = dxi/dz. */
+static void from_coordinates(const double *xi, const double *X, double *y, double *C)
 {
     double lateral[3];
     int i, j, k, q;
@@ -85,7 +85,7 @@ static void from_coordinates(const double *xi, const double *D, double *y, doubl
         C[i] = 0.0;
     for (k = 0; k < MARKERS; k++) {
         const double weight = arc[5 * k], r0 = arc[5 * k + 1], *axis = arc + 5 * k + 2, *from = xi + marker[3 * k];
-        const double *slopes = D + marker[3 * k] * N;
+        const double *slopes = X + marker[3 * k] * N;
         double along = 0.0, t = 0.0, s, c, ds, *to = y + marker[3 * k + 1];
         q = marker[3 * k + 2];
         if (r0 == 0.0) {

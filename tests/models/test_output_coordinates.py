@@ -152,7 +152,7 @@ def test_markers_of_a_mixture_within_a_mixture_multiply_their_weights():
     (lambda: Mixture((PLANE, Identity(4)), (1.0,), 4), r"2 coordinates with the weights \(1.0,\)"),
     (lambda: Mixture((PLANE, Identity(4)), (0.5, 0.6), 4), "one positive weight for each, of sum 1"),
     (lambda: small_model(PLANE), "output coordinates of 4 outputs for a model of 2"),
-    (lambda: coordinates_from_plain({"class": "ssmr_torch.models.monomials:Form"}), "is no class of output coordinates"),
+    (lambda: coordinates_from_plain({"class": "ssmr_torch.models.monomials:Form"}), "is no class of output coord"),
     (lambda: coordinates_from_plain({"class": "no_such_module:Mine"}), "no_such_module:Mine, is not found here"),
     (lambda: coordinates_from_plain({"class": "ssmr_torch.models.monomials:Mine"}), "put its module on the path")])
 def test_what_are_no_coordinates_is_refused_with_what_is_wrong(make, message):
@@ -176,8 +176,8 @@ def small_model(coordinates, **options):
     dynamics = np.random.default_rng(0).normal(size=(2, len(structure.dynamics))) * 0.1
     dynamics[:, :2] += 0.8 * np.eye(2)
     return PolynomialModel(
-        structure=structure, chart=np.eye(2, 4, 2), parametrization=np.tile(np.eye(2), (sides, 1)), dynamics=dynamics, input_dim=1,
-        output_dim=2, delays=1, timestep=0.01, window_timestep=0.01, coordinates=coordinates,
+        structure=structure, chart=np.eye(2, 4, 2), parametrization=np.tile(np.eye(2), (sides, 1)), dynamics=dynamics,
+        input_dim=1, output_dim=2, delays=1, timestep=0.01, window_timestep=0.01, coordinates=coordinates,
         **({"state_scale": np.full(2, 0.1)} | options))
 
 
@@ -256,7 +256,7 @@ def test_coordinates_of_a_user_are_found_again_by_their_module_and_refused_where
         assert artifact.load(at).model.coordinates == Doubled(2.0)
         assert "Doubled of my_coordinates" in artifact.load(at).card["geometry"]
     monkeypatch.delitem(sys.modules, "my_coordinates")
-    with pytest.raises(ValueError, match="coordinates, my_coordinates:Doubled, is not found here .*install the package"):
+    with pytest.raises(ValueError, match="my_coordinates:Doubled, is not found here .*install the package"):
         artifact.load(at)
 
 
