@@ -55,11 +55,11 @@ class Artifact:
 def save(directory: str | Path, model: Model, *, output_names, input_names, rest, input_range,
          input_unit: str = "N", name: str = "SSMR", provenance: dict | None = None,
          scores: dict | None = None, cost: dict | None = None, sampling_time: float | None = None,
-         complete: Callable[[Path], object] | None = None) -> Path:
+         output_range=None, complete: Callable[[Path], object] | None = None) -> Path:
     """Write the artifact aside and move it into place; an artifact already there is replaced whole.
 
     model: NumPy arrays. output_names (p,), input_names (m,), rest (p,) m, input_range (2, m): what it was trained on;
-    sampling_time: s, of the recordings, default the window_timestep.
+    sampling_time: s, of the recordings, default the window_timestep. output_range: (2, p) m, of the training.
     scores, cost: plain numbers; one that is not finite, of rollouts that diverge, is stored as null.
     complete: called with the directory while it is still aside, to add to it; what it raises leaves all as it was.
     Raises ValueError when these disagree with the model, a table is not finite, or the directory holds other files.
@@ -74,7 +74,8 @@ def save(directory: str | Path, model: Model, *, output_names, input_names, rest
             "geometry": model.geometry, "units": {"length": "m", "time": "s", "input": input_unit},
             "sampling_time": model.window_timestep if sampling_time is None else float(sampling_time),
             "output_names": list(output_names), "input_names": list(input_names), "rest": rest.tolist(),
-            "input_range": bounds.tolist(), "provenance": provenance or {},
+            "input_range": bounds.tolist(), "output_range": None if output_range is None else np.array(output_range).tolist(),
+            "provenance": provenance or {},
             "scores": {key: value if np.isfinite(value) else None for key, value in (scores or {}).items()},
             "cost": cost or {}}
     with _replacing(directory) as aside:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,6 +16,12 @@ from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.evaluation.predictors import as_predictor, at_every_sample
 from ssmr_torch.models.base import Model
 from ssmr_torch.periods import whole_multiple
+
+OUTSIDE = 0.25  # of the range of the training, by which a prediction may leave it without a word
+
+
+class OutsideTraining(UserWarning):
+    """A prediction that leaves what the training explains."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +123,8 @@ class TrainedModel(DataSheet):
         held between the samples of the window; only models whose chart sees them need them. Leading dimensions are
         broadcast. Returns (…, H, p), m, infinite from where the model leaves its range.
 
+        Where inputs or outputs leave what the training held by more than a quarter of its range, a warning says which
+        and how far: the prediction is then a guess, though a bounded one.
         The model steps by the sampling time where it can. One that is coarser, fitted at a multiple of it, sees the
         mean of the inputs over each of its steps (the last one held to the end), and its outputs are interpolated
         linearly in between.
@@ -127,7 +136,24 @@ class TrainedModel(DataSheet):
         window, inputs, past = (array.reshape(count, *array.shape[-2:]) for array in (window, inputs, past))
         model, stride = self._at_sampling_time
         outputs = at_every_sample(as_predictor(model), stride).predict(window, past, inputs)
+        self._warn_outside("inputs", held, self.input_names, self.card.get("input_range"), 1.0, self.input_unit)
+        self._warn_outside("outputs", outputs, self.output_names, self.card.get("output_range"), 1e3, "mm")
         return outputs.reshape(*leading, horizon, -1)
+
+    def _warn_outside(self, what: str, values: np.ndarray, names, seen, factor: float, unit: str) -> None:
+        """Say, once a call, what leaves the range of the training farthest, where it does by more than `OUTSIDE`."""
+        if seen is None or not values.size:
+            return
+        lowest, highest = np.array(seen, dtype=np.float64)
+        span = np.maximum(highest - lowest, 1e-300)
+        flat = values.reshape(-1, values.shape[-1])
+        beyond = np.maximum((lowest - flat.min(0)) / span, (flat.max(0) - highest) / span)
+        worst = int(np.argmax(beyond))
+        if beyond[worst] > OUTSIDE:
+            warnings.warn(f"{what} leave the range of the training: {names[worst]} goes from "
+                          f"{factor * flat[:, worst].min():.3g} to {factor * flat[:, worst].max():.3g} {unit}, the "
+                          f"training from {factor * lowest[worst]:.3g} to {factor * highest[worst]:.3g}; do not trust "
+                          "this prediction, or train on recordings that go as far", OutsideTraining, stacklevel=3)
 
     @cached_property
     def _at_sampling_time(self) -> tuple[Model, int]:
@@ -191,7 +217,7 @@ class TrainedModel(DataSheet):
         return artifact.save(folder, self.reduced, output_names=card["output_names"], input_names=card["input_names"],
                              rest=card["rest"], input_range=card["input_range"], input_unit=card["input_unit"],
                              name=card["name"], provenance=card.get("provenance"), scores=_finite(card.get("scores")),
-                             cost=card.get("cost"), sampling_time=self.sampling_time, **more)
+                             cost=card.get("cost"), sampling_time=self.sampling_time, output_range=card.get("output_range"), **more)
 
     def data_sheet(self) -> tuple[str, dict]:
         model, said = self.reduced, self.card.get("provenance") or {}

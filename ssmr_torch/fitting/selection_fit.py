@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from tqdm import tqdm
 
+from ssmr_torch.data.refusals import check_learnable
 from ssmr_torch.data.windows import Segment
 from ssmr_torch.fitting.exact import ExactSolve
 from ssmr_torch.fitting.fit import ModelFit
@@ -44,6 +45,7 @@ class SelectionFit(ModelFit):
     def on_train_start(self) -> None:
         if self.trainer.world_size > 1:
             raise ValueError(f"{self.trainer.world_size} processes; a selection runs in one (trainer.devices=1)")
+        check_learnable(self.trainer.datamodule.dataset)
 
     @torch.no_grad()
     def training_step(self, segment: Segment, index: int) -> None:

@@ -57,7 +57,7 @@ class ClosedForm:
             decays = past_of(samples, chosen.coordinates, d, self.rows[samples.is_decay[self.rows]])
             if not len(decays):
                 raise ValueError("no decays, whose tangent space is asked for")
-            past = past_of(samples, chosen.coordinates, d, self.rows)
+            past = self.pasts[0]
             chart = tangent_chart(decays.T @ decays / len(decays), past.T @ past / len(past), window, newest,
                                   chosen.states)
             return [chart] * (FOLDS + 1)
@@ -89,23 +89,32 @@ class ClosedForm:
         return np.einsum("rkm,jk->rjm", past, chosen.memory_weights(samples.past)).reshape(len(self.rows), -1)
 
     @cached_property
+    def pasts(self) -> list[np.ndarray]:
+        """[1, window, past inputs] of the rows, and of the samples after them."""
+        chosen = self.specification
+        return [past_of(self.samples, chosen.coordinates, chosen.delays, self.rows + k) for k in (0, 1)]
+
+    @cached_property
     def moments(self) -> list[tuple[Moments, Moments | None, np.ndarray]]:
         """Of the flow map and of the outputs, and the largest |z|, by fold and of all."""
         same = self.charts[0] is self.charts[ALL]
         if same:
             X, T, psi, xi, largest = self._regressors(self.charts[ALL])
             outputs = [None] * (FOLDS + 1) if psi is None else list(by_fold(psi, xi, self.touching))
-            return [(flow, output, largest) for flow, output in zip(by_fold(X, T, self.touching), outputs)]
+            found = [(flow, output, largest) for flow, output in zip(by_fold(X, T, self.touching), outputs)]
+            del self.pasts
+            return found
         found = []
         for fold, chart in enumerate(self.charts):
             keep = slice(None) if fold == ALL else ~self.touching[fold]
             X, T, psi, xi, largest = self._regressors(chart)
             found.append((Moments.of(X[keep], T[keep]), Moments.of(psi[keep], xi[keep]), largest))
+        del self.pasts
         return found
 
     def _regressors(self, chart: Chart):
         samples, chosen, assembly = self.samples, self.specification, self.assembly
-        here, ahead = (past_of(samples, chosen.coordinates, chosen.delays, self.rows + k) @ chart.V.T for k in (0, 1))
+        here, ahead = (past @ chart.V.T for past in self.pasts)
         inputs = (samples.u[self.rows] - samples.input_mean) / samples.input_scale
         X = assembly.regressors(np.concatenate([here, self.memory, inputs], axis=1))
         T = (ahead - here @ chart.L.T) @ np.linalg.pinv(chart.E).T

@@ -11,20 +11,27 @@ from ssmr_torch.models.output_coordinates import ConstantCurvature, OutputCoordi
 ROWS = 800            # samples of which a base is inferred
 STEADIER = 0.6        # largest spread of the arc length, of the spread of the axial displacement
 FARTHEST = 30.0       # of the largest displacement that a base may be away
+FAR = 100.0            # of the largest displacement: the base of a marker without one of its own
 DISTANCES = (1.5, 3.0, 8.0)
 STRAIGHT = 3.1        # rad; an arc beyond has no length
 
 
 def offered(y: np.ndarray) -> dict[str, OutputCoordinates | None]:
     """Coordinates by name for displacements y (S, p): the identity, None, and constant-curvature arcs where the columns
-    are markers of 3 (or 2) coordinates and every one's base is plausible.
+    are markers of 3 (or 2) coordinates and the base of the one that moves most is plausible. A marker whose own is not
+    gets a base far away along the same axis, which leaves it nearly as it is.
     """
     found: dict[str, OutputCoordinates | None] = {"identity": None}
     size = 3 if y.shape[1] % 3 == 0 else 2 if y.shape[1] % 2 == 0 else 0
-    if size:
-        bases = [inferred_base(y[:, first:first + size]) for first in range(0, y.shape[1], size)]
-        if all(base is not None for base in bases):
-            found["constant_curvature"] = ConstantCurvature(tuple(bases))
+    if not size:
+        return found
+    markers = [y[:, first:first + size] for first in range(0, y.shape[1], size)]
+    extents = [float(np.linalg.norm(marker, axis=1).max()) for marker in markers]
+    bases = [inferred_base(marker) for marker in markers]
+    farthest = bases[int(np.argmax(extents))]
+    if farthest is not None:
+        away = tuple((FAR * max(extents) / np.linalg.norm(farthest) * np.array(farthest)).tolist())
+        found["constant_curvature"] = ConstantCurvature(tuple(away if base is None else base for base in bases))
     return found
 
 

@@ -15,6 +15,7 @@ HORIZONS = (0.05, 0.2, 1.0)
 PAST = 20              # samples before a start that any candidate may look at
 STARTS, FAST_STARTS = 120, 80
 FITTED = 150           # starts of rollouts that a model is fitted to
+MOST = 6000            # rows of controlled runs while specifications are compared
 LEAST = 2000           # rows of decays that are kept however few the controlled ones are
 STRONGER = 1.25        # inputs beyond the recorded ones, under which the fits are compared
 
@@ -44,12 +45,14 @@ class Samples:
 
     coordinates: output coordinates by name, None for the identity. targets: columns of y that are scored.
     scale: m, root mean square of y; input_mean, input_scale: (m,) of the controlled runs.
+    most: rows of the controlled runs that a regression takes, evenly chosen.
     owner, fold: (S,) run and fold of each sample of the runs one after the other, −1 of decays.
     """
 
     def __init__(self, decays: Sequence, controlled: Sequence, timestep: float, *,
-                 coordinates: Mapping[str, OutputCoordinates | None], targets: Sequence[int], past: int = PAST):
-        self.timestep, self.past, self.targets = float(timestep), past, list(targets)
+                 coordinates: Mapping[str, OutputCoordinates | None], targets: Sequence[int], past: int = PAST,
+                 most: int = MOST):
+        self.timestep, self.past, self.targets, self.most = float(timestep), past, list(targets), most
         self.coordinates = dict(coordinates)
         self.decays, self.controlled = list(decays), list(controlled)
         runs = [*self.decays, *self.controlled]
@@ -88,6 +91,11 @@ class Samples:
         """(S,) samples of decays."""
         return self.owner < len(self.decays)
 
+    def whole(self) -> Samples:
+        """The same runs, all rows of which a regression takes."""
+        return Samples(self.decays, self.controlled, self.timestep, coordinates=self.coordinates,
+                       targets=self.targets, past=self.past, most=len(self.y))
+
     def latent(self, name: str) -> np.ndarray:
         """ξ = χ(y) of all samples, scaled, (S, p')."""
         if name not in self._latent:
@@ -102,6 +110,7 @@ class Samples:
         place = np.arange(len(self.y)) - self.first[self.owner]
         inside = (place >= self.past) & (place + ahead < self.lengths[self.owner])
         controlled = np.flatnonzero(inside & ~self.is_decay)
+        controlled = controlled[_even(len(controlled), self.most)]
         if not decays:
             return controlled
         of_decays = np.flatnonzero(inside & self.is_decay)

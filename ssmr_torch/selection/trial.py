@@ -53,7 +53,7 @@ class Trial:
         self.fast = samples.hurried()
         self.outcomes: dict[Specification, Outcome] = {}
         self._closed: tuple[tuple, ClosedForm] | None = None
-        self._finals: dict[Specification, PolynomialModel] = {}
+        self._whole: Samples | None = None
         self._training: dict[int, Starts] = {}
         self.left_out = 0
         still = [(starts.window[:, -1:, samples.targets] - starts.follows[:, :, samples.targets]) / samples.scale
@@ -92,14 +92,15 @@ class Trial:
         return with_fibre(model, self.samples, specification.fibre, fold) if specification.fibre else model
 
     def final(self, specification: Specification) -> PolynomialModel:
-        """The model of all the data."""
-        if specification not in self._finals:
-            self._finals[specification] = self.fitted(self.closed_form(specification), specification, ALL)
-        return self._finals[specification]
+        """The model of all rows of all the data."""
+        if self._whole is None:
+            self._whole = self.samples.whole()
+        closed = ClosedForm(self._whole, specification, self.noise)
+        return self.fitted(closed, specification, ALL)
 
     def bounded(self, specification: Specification) -> bool:
-        """Whether the model of all the data stays near what was measured, see `stays_bounded`."""
-        return stays_bounded(self.final(specification), self.samples)
+        """Whether the model of all folds stays near what was measured, see `stays_bounded`."""
+        return stays_bounded(self.fitted(self.closed_form(specification), specification, ALL), self.samples)
 
     def refinable(self, specification: Specification) -> bool:
         """Whether Gauss-Newton steps on it take seconds at most."""
