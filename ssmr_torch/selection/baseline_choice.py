@@ -22,7 +22,7 @@ KINDS = {**dict.fromkeys(LIFTINGS, KoopmanForm), "sssr": SubmanifoldForm, "ssmr"
          "ssmr_control_augmented": ControlAugmentedForm}
 FIRST_RIDGES = (1e-7, 1e-4)  # with which sizes are compared, before all ridges are tried on the best
 REFINED = 3                  # of the best sizes
-SECONDS = 6.0                # CPU time after which no further form of a kind is tried
+SECONDS = 7.0                # CPU time after which no further form of a kind is tried
 SIZING = 0.6                 # the share of it for sizes, the rest is for ridges and decays
 LOOKED_AT = 20               # of the best, for stability
 
@@ -62,7 +62,8 @@ def choose_baseline(trial: Trial, kind: str, *, seconds: float = SECONDS,
                 SIZING * seconds)
     sizes = {each.regression: each for each in reversed(found.best())}
     best = sorted(sizes.values(), key=lambda each: found.outcomes[each].score)[:REFINED]
-    found.stage((replace(each, ridge=ridge, decays=with_decays) for each in best
+    found.stage((replace(each, ridge=ridge, decays=with_decays, smoothed=smoothed) for each in best
+                 for smoothed in ((False, True) if KINDS[kind] is SubmanifoldForm else (False,))
                  for with_decays in ((True, False) if decays else (True,)) for ridge in RIDGES), seconds)
     refused = 0
     for each in found.best()[:LOOKED_AT]:
@@ -133,5 +134,5 @@ def _forms(trial: Trial, kind: str) -> Iterable[Baseline]:
         yield from (Baseline(kind, name, delays, delays, states) for states in (6, 10, 14) for delays in (4, 10)
                     for name in names)
     else:
-        yield from (Baseline(kind, name, delays, 0, states, smoothed) for states in (4, 6, 10) for delays in (1, 2, 4, 10)
-                    for smoothed in (False, True) for name in names)
+        yield from (Baseline(kind, name, delays, 0, states) for states in (4, 6, 10, 14) for delays in (1, 2, 4)
+                    for name in names)

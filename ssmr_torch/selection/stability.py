@@ -19,11 +19,12 @@ def stays_bounded(model: PolynomialModel, samples: Samples) -> bool:
     if not decays_at_rest(model):
         return False
     limit = FARTHEST * np.abs(np.concatenate([y for y, _ in samples.controlled])).max()
-    for y, u in samples.controlled:
-        past = samples.past
-        for inputs in (factor * u[past::speed] for factor in STRONGER for speed in FASTER):
-            start = Starts(y[None, :past + 1], u[None, :past], np.ascontiguousarray(inputs)[None], y[None, :0])
-            if not np.abs(rolled_out(model, start)).max(initial=0.0) < limit:
+    past = samples.past
+    for length in {len(y) for y, _ in samples.controlled}:
+        y, u = (np.stack([run[k] for run in samples.controlled if len(run[0]) == length]) for k in (0, 1))
+        for inputs in (factor * u[:, past::speed] for factor in STRONGER for speed in FASTER):
+            starts = Starts(y[:, :past + 1], u[:, :past], np.ascontiguousarray(inputs), y[:, :0])
+            if not np.abs(rolled_out(model, starts)).max(initial=0.0) < limit:
                 return False
     return True
 
