@@ -9,6 +9,7 @@ Plant ─collect→ Trajectories ─fit→ Model ─export→ Artifact ─→ Co
     print(ssmr.check(data))                        # what the recordings lack, before any fit
     model = ssmr.fit(data, "ssmr", state_dim=6)    # a TrainedModel
     print(ssmr.score(model, data))                 # horizons × (model, persistence, constant velocity)
+    print(ssmr.compare(data))                      # the chosen model and all baselines at their best
     outputs = model.predict(window, inputs)
     model.save("artifact"); model = ssmr.load("artifact")
     controller = ssmr.ModelPredictiveController(model, task, plant.input_bounds, output_names=plant.output_names)
@@ -32,16 +33,18 @@ if TYPE_CHECKING:
     from ssmr_torch.data.arrays import trajectories
     from ssmr_torch.face import check, load, read, simulate
     from ssmr_torch.fitting.by_kind import fit
+    from ssmr_torch.fitting.compare import compare
     from ssmr_torch.score_table import score
     from ssmr_torch.trained_model import TrainedModel
     from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 __all__ = ["ClosedLoopRecord", "ModelPredictiveController", "PredictiveControlSettings", "TrainedModel", "Trajectory",
-           "TrajectoryDataset", "check", "fit", "load", "plants", "read", "score", "simulate", "tasks", "trajectories"]
+           "TrajectoryDataset", "check", "compare", "fit", "load", "plants", "read", "score", "simulate", "tasks", "trajectories"]
 
 __getattr__, __dir__ = lazily(__name__, {
     **{name: f"ssmr_torch.face:{name}" for name in ("check", "load", "read", "simulate")},
     "trajectories": "ssmr_torch.data.arrays:trajectories", "fit": "ssmr_torch.fitting.by_kind:fit",
+    "compare": "ssmr_torch.fitting.compare:compare",
     "score": "ssmr_torch.score_table:score", "TrainedModel": "ssmr_torch.trained_model:TrainedModel",
     "Trajectory": "ssmr_torch.trajectory:Trajectory", "TrajectoryDataset": "ssmr_torch.trajectory:TrajectoryDataset",
     "ClosedLoopRecord": "ssmr_torch.closed_loop:ClosedLoopRecord",

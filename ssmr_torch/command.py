@@ -16,7 +16,7 @@ from pathlib import Path
 from ssmr_torch import __version__
 from ssmr_torch.extras import remedy, require
 
-COMMANDS = ("collect", "check", "train", "export", "evaluate", "control", "serve", "serve-plant", "report",
+COMMANDS = ("collect", "check", "train", "compare", "export", "evaluate", "control", "serve", "serve-plant", "report",
             "delay-study", "reproduce")
 SEARCHES = ("sweep=", "tuning=")
 COMPLETION = ("-sc", "--shell-completion")  # as Hydra has it

@@ -94,8 +94,13 @@ def _kind(kind: str | None, config_dir: str | Path | None) -> tuple[str, str]:
     if kind is None:
         return "ssmr", ('fitting "ssmr", a spectral submanifold of six dimensions, with which most soft robots begin; '
                         'fit(data, "sssr") is its linear counterpart')
-    _check_choice("kind of model", kind, "model", config_dir)
+    refuse_unknown_kind(kind, config_dir)
     return kind, ""
+
+
+def refuse_unknown_kind(kind: str, config_dir: str | Path | None = None) -> None:
+    """Raises ValueError, with the nearest one, for a kind of model that no folder of configurations has."""
+    _check_choice("kind of model", kind, "model", config_dir)
 
 
 def _check_choice(what: str, choice, group: str, config_dir: str | Path | None) -> None:

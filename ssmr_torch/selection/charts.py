@@ -81,18 +81,18 @@ def predictive_chart(moments: Moments, seen: int, newest: slice, states: int) ->
     """
     explained = moments.solution(TINY_RIDGE)[:, :seen]
     past = moments.regressors[:seen, :seen]
-    directions = _leading(explained @ past @ explained.T, states)
+    directions = leading_directions(explained @ past @ explained.T, states)
     return _turned(directions @ explained, past, newest)
 
 
 def tangent_chart(decays: np.ndarray, past: np.ndarray, window: slice, newest: slice, states: int) -> Chart:
     """The leading directions of the decays' windows; decays, past: mean squares of [1, window, past inputs]."""
     V = np.zeros((states, len(past)))
-    V[:, window] = _leading(decays[window, window], states)
+    V[:, window] = leading_directions(decays[window, window], states)
     return _turned(V, past, newest)
 
 
-def _leading(matrix: np.ndarray, count: int) -> np.ndarray:
+def leading_directions(matrix: np.ndarray, count: int) -> np.ndarray:
     """Rows: eigenvectors of a symmetric matrix, those of the largest values first."""
     return np.linalg.eigh(0.5 * (matrix + matrix.T))[1][:, ::-1][:, :count].T
 

@@ -58,7 +58,7 @@ def choose(decays: Sequence, controlled: Sequence, timestep: float, settings: Se
     noise = measured_noise([run[0] for run in (decays or controlled)])
     horizons = range(len(samples.horizons))[1:] if settings.purpose == "control" else None
     trial = Trial(samples, horizons=horizons or None, noise=max(noise, settings.noise))
-    search(trial, decays=bool(decays), family=settings.family, minutes=settings.minutes, say=say)
+    search(trial, decays=bool(decays), minutes=settings.minutes, say=say)
     pool, refused = stable_pool(trial, trial.best(TRIED), POOL)
     if not pool:
         raise ValueError(f"none of the {len(trial.outcomes)} models that were tried stays within three times the "
@@ -66,8 +66,7 @@ def choose(decays: Sequence, controlled: Sequence, timestep: float, settings: Se
                          "look at ssmr check")
     if settings.refine:
         pool = refined(trial, pool, say=say)
-    single = settings.purpose == "control" or settings.family != "slow_fast"
-    team = choose_team(trial, pool, 1 if single else settings.team)
+    team = choose_team(trial, pool, 1 if settings.purpose == "control" else settings.team)
     members = [trial.final(each) for each in team]
     model = merged(members)
     if settings.noise > noise:

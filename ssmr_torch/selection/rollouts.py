@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssmr_torch.models.batch_rollout import batch_of
+from ssmr_torch.models.batch_rollout import BatchRollout, batch_of
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.selection.samples import Starts
+
+DENSE = 64  # states of a linear map from which products of whole matrices are faster than the compiled kernel
 
 
 def rolled_out(model: PolynomialModel, starts: Starts) -> np.ndarray:
@@ -15,4 +17,10 @@ def rolled_out(model: PolynomialModel, starts: Starts) -> np.ndarray:
     window = starts.window[:, starts.window.shape[1] - delays - 1:]
     past = starts.past[:, starts.past.shape[1] - delays:]
     with np.errstate(over="ignore", invalid="ignore"):
-        return batch_of(model).outputs(model.encode(window, past), starts.inputs)
+        return _batch(model).outputs(model.encode(window, past), starts.inputs)
+
+
+def _batch(model: PolynomialModel) -> BatchRollout:
+    structure = model.structure
+    linear = structure.scheme == "map" and structure.dynamics.highest <= 1 and not structure.relift
+    return BatchRollout(model) if linear and model.state_dim > DENSE else batch_of(model)

@@ -16,22 +16,11 @@ RIDGES = (1e-6, 1e-4, 1e-2)
 ACTUATORS = (0.02, 0.05, 0.1, 0.2)  # s, time constants
 
 
-# What a family may be: charts, features and memories; by what a model of that name is.
-FAMILIES = {
-    "slow_fast": lambda each: True,
-    "dmd": lambda each: each.chart == "delay" and each.features == "linear" and not each.pole,
-    "edmd_bilinear": lambda each: each.chart == "delay" and each.features in ("linear", "bilinear") and not each.pole,
-    "edmd_relift": lambda each: each.chart == "delay" and each.features in ("linear", "quadratic_map")
-    and not each.pole}
-
-
-def search(trial: Trial, *, decays: bool, family: str = "slow_fast", minutes: float = np.inf,
+def search(trial: Trial, *, decays: bool, minutes: float = np.inf,
            say: Callable[[str], None] = lambda line: None) -> None:
     """Try specifications until the stages are through; what was found stands in `trial.outcomes`."""
-    allowed = FAMILIES[family]
-
     def stage(name: str, specifications: Iterable[Specification]) -> None:
-        chosen = [each for each in dict.fromkeys(specifications) if each not in trial.outcomes and allowed(each)]
+        chosen = [each for each in dict.fromkeys(specifications) if each not in trial.outcomes]
         for each in sorted(chosen, key=lambda each: str(each.regression)):
             if trial.cpu > 60.0 * minutes:
                 trial.left_out += 1

@@ -20,7 +20,6 @@ class SelectionSettings(Settings):
         on windows with that noise. 0: the noise of the recordings.
     coordinates: names of output coordinates to choose from, "identity" and "constant_curvature", or "module:Class" of
         your own; None: all that the data suggest.
-    family: "slow_fast"; or "dmd", "edmd_bilinear", "edmd_relift": only such models, chosen by the same rule.
     team: most models that are averaged; 1 for control.
     refine: whether the best are refined by Gauss-Newton steps on rollouts.
     symmetry: "find" a rotation of the outputs with a permutation of the inputs in the data and use it, or "none".
@@ -33,16 +32,13 @@ class SelectionSettings(Settings):
     scored: tuple[str, ...] | None = None
     noise: float = 0.0
     coordinates: tuple[str, ...] | None = None
-    family: str = "slow_fast"
     team: int = 4
     refine: bool = True
     symmetry: str = "find"
     minutes: float = 2.0
 
     def __post_init__(self):
-        from ssmr_torch.selection.search import FAMILIES
-
-        for name, options in (("purpose", PURPOSES), ("family", tuple(FAMILIES)), ("symmetry", ("find", "none"))):
+        for name, options in (("purpose", PURPOSES), ("symmetry", ("find", "none"))):
             if getattr(self, name) not in options:
                 raise ValueError(f"{name} is {getattr(self, name)!r}; expected one of {options}")
         for name in ("scored", "coordinates"):

@@ -1,0 +1,118 @@
+"""Every model at its best on the same recordings: chosen from the training runs, scored on the test runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from time import process_time
+
+import numpy as np
+from tqdm import tqdm
+
+from ssmr_torch.comparison import Comparison
+from ssmr_torch.evaluation.run_groups import compare_groups
+from ssmr_torch.fitting.by_kind import fit, refuse_unknown_kind
+from ssmr_torch.fitting.training import data_card
+from ssmr_torch.provenance import provenance
+from ssmr_torch.selection.baseline_choice import KINDS, BaselineChoice, choose_baseline
+from ssmr_torch.selection.coordinates import offered
+from ssmr_torch.selection.samples import Samples
+from ssmr_torch.selection.trial import Trial
+from ssmr_torch.trained_model import TrainedModel
+from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
+
+MODELS = ("auto", *KINDS)
+HORIZONS = (0.05, 0.1, 0.2, 1.0)
+LINE = "fitting {desc} {n_fmt}/{total_fmt} [{elapsed}]"
+
+
+def compare(data: TrajectoryDataset, models: Iterable | Mapping | None = None, *, scored: Sequence[str] | None = None,
+            noise: float = 0.0, horizons: Sequence[float] = HORIZONS, starts: int = 500, seed: int = 0,
+            progress: bool | None = None) -> Comparison:
+    """Fit every model at its best to the training runs, and score all on the test runs, group by group.
+
+    models: names or models; by default "auto", the model that is chosen from the data, and all baselines. "auto" is
+    `fit(data, "auto")`. A baseline ("dmd", "edmd", "edmd_relift", "edmd_bilinear", "koopman_lqr", "sssr", "ssmr",
+    "ssmr_control_augmented") gets the same help: its output coordinates, delays, size, ridge and whether decays take
+    part are chosen by the same rule on the same folds, see `choose_baseline`. Another kind ("neural_ode", "tpwl") is
+    fitted as `fit` does. A `TrainedModel` is taken as it is; by name in a mapping.
+    scored: names of the outputs that are to be predicted best, and that errors are of; None: all. noise: m, standard
+    deviation of the noise of the loop: "auto" is chosen for it, and all are scored a second time with it on the windows
+    that rollouts start from. horizons: s. starts: seeded samples per horizon over all test runs of a kind.
+    progress: whether a line shows what is being fitted; None: yes.
+
+    Returns a `Comparison`, which prints itself. A kind that the data cannot determine, or whose every form diverges, is
+    left out, with the reason in `refused`. Raises ValueError for a name that no kind has, outputs that the data do not
+    have, and data without controlled training runs or without test runs, before any work.
+    """
+    refuse_other_data(data)
+    asked = _by_name(MODELS if models is None else models)
+    training = [run for run in data.select("train") if run.kind != "static"]
+    tests = [run for run in data.select("test") if run.kind != "static"]
+    if not tests or not any(run.kind == "controlled" for run in training):
+        raise ValueError(f"{len(tests)} test runs and {sum(run.kind == 'controlled' for run in training)} controlled "
+                         "training runs; a comparison needs some of both (split: test, split: train)")
+    outputs = data.columns(scored)
+    card = data_card(data, tuple(training))
+    fitted, chosen, refused, cpu = {}, {}, {}, {}
+    trial = _trial(training, data.timestep, outputs) if any(each in KINDS for each in asked.values()) else None
+    with tqdm(asked.items(), disable=progress is False, leave=False, delay=2.0, bar_format=LINE) as line:
+        for name, kind in line:
+            line.set_description_str(name)
+            began = process_time()
+            try:
+                fitted[name], chosen[name] = _fitted(kind, name, data, trial, card, scored, noise, seed)
+            except ValueError as error:
+                refused[name] = str(error)
+            cpu[name] = process_time() - began
+    if not fitted:
+        raise ValueError("no model could be fitted; " + "; ".join(f"{name}: {why}" for name, why in refused.items()))
+    found = compare_groups({name: each.reduced for name, each in fitted.items()}, tests, horizons=list(horizons),
+                           starts=starts, seed=seed, outputs=outputs, noise=noise or None)
+    reach = max(float(np.linalg.norm(run.read().observation[:, outputs], axis=1).max()) for run in tests)
+    return Comparison(fitted, found, reach, {name: words for name, words in chosen.items() if words}, refused, cpu)
+
+
+def _by_name(models: Iterable | Mapping) -> dict[str, object]:
+    """What is asked for, by the name that tables show. Raises ValueError for a kind that does not exist."""
+    models = [models] if isinstance(models, (str, TrainedModel)) else models
+    if isinstance(models, Mapping):
+        asked = dict(models)
+    else:
+        asked = {each.upper() if isinstance(each, str) else each.name: each for each in models}
+    for each in asked.values():
+        if not isinstance(each, (str, TrainedModel)):
+            raise TypeError(f"{each!r} is no model; expected a name of conf/model, or what fit or load returns")
+        if isinstance(each, str):
+            refuse_unknown_kind(each)
+    return asked
+
+
+def _trial(training: Sequence, timestep: float, outputs: Sequence[int]) -> Trial:
+    """The folds that baselines are tried on: those of "auto"."""
+    runs = [run.read() for run in training]
+    decays, controlled = ([(run.observation, run.input) for run in runs if (run.kind == "decay") == decay]
+                          for decay in (True, False))
+    coordinates = offered(np.concatenate([run.observation for run in runs]))
+    return Trial(Samples(decays, controlled, timestep, coordinates=coordinates, targets=outputs))
+
+
+def _fitted(kind, name: str, data: TrajectoryDataset, trial: Trial | None, card: dict, scored, noise: float,
+            seed: int) -> tuple[TrainedModel, str]:
+    """A model, and what was chosen of it."""
+    if isinstance(kind, TrainedModel):
+        return kind, ""
+    if kind in KINDS:
+        choice = choose_baseline(trial, kind)
+        return _trained(choice, name, data, trial, card), str(choice)
+    settings = {"fit.selection.noise": noise, "fit.selection.scored": scored} if kind == "auto" else {}
+    model = fit(data, kind, seed=seed, name=name, progress=False, **settings)
+    said = [line for report in model.report.values() for line in report["warnings"]]
+    return model, said[0] if said else ""
+
+
+def _trained(choice: BaselineChoice, name: str, data: TrajectoryDataset, trial: Trial, card: dict) -> TrainedModel:
+    samples = trial.samples
+    cost = {"state_dim": float(choice.model.state_dim), "fit_time": choice.cpu, "decays": float(len(samples.decays)),
+            "controlled_samples": float(sum(len(y) for y, _ in samples.controlled))}
+    origin = provenance() | {"training": provenance({"chosen": str(choice)}), "data": data.provenance}
+    return TrainedModel(choice.model, card | {"name": name, "cost": cost, "scores": {}, "provenance": origin})

@@ -1,0 +1,41 @@
+"""What is chosen of a baseline: the form of a model of a given kind, as words and numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+RIDGES = (1e-11, 1e-9, 1e-7, 1e-5, 1e-3)
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """One form of a model of a known kind, fitted in closed form.
+
+    kind: a name of conf/model, see `baseline_choice.KINDS`. coordinates: name of output coordinates. delays,
+    input_delays: samples, and inputs between them, that the window holds. states: reduced coordinates, 0 where they
+    follow from the window. smoothed: whether time derivatives are those of a local polynomial (Savitzky-Golay) instead
+    of central differences, of models in continuous time. decays: whether decays take part in the dynamics.
+    ridge: relative to the mean square of each regressor.
+    """
+
+    kind: str
+    coordinates: str = "identity"
+    delays: int = 1
+    input_delays: int = 0
+    states: int = 0
+    smoothed: bool = False
+    decays: bool = True
+    ridge: float = 1e-5
+
+    @property
+    def regression(self) -> tuple:
+        """All that the regressors depend on."""
+        return (self.kind, self.coordinates, self.delays, self.input_delays, self.states, self.smoothed, self.decays)
+
+    def __str__(self) -> str:
+        words = [*([f"{self.states} states"] if self.states else []), f"a window of {self.delays + 1} samples",
+                 *([f"{self.input_delays} past inputs"] if self.input_delays else []),
+                 *([] if self.coordinates == "identity" else [f"{self.coordinates.replace('_', ' ')} outputs"]),
+                 *(["smoothed derivatives"] if self.smoothed else []), f"ridge {self.ridge:.0e}",
+                 *([] if self.decays else ["no decays"])]
+        return ", ".join(words)
