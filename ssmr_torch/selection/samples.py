@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssmr_torch.models.output_coordinates import OutputCoordinates
-from ssmr_torch.selection.turns import Turn
+from ssmr_torch.turns import Turn
 
 FOLDS = 4
 PIECE = 3.0            # s, of a piece that one fold holds out
@@ -71,7 +71,7 @@ class Samples:
         self.fold = np.full(len(self.y), -1)
         for number, (begin, end) in enumerate(self.pieces):
             self.fold[begin:end] = number % FOLDS
-        self.originals = sum(len(y) for y, _ in originals)
+        self.turns, self.originals = list(turns), sum(len(y) for y, _ in originals)
         self.fold = np.tile(self.fold[:self.originals], 1 + len(turns))
         self.horizons = self._horizons()
         self._latent: dict[str, np.ndarray] = {}
