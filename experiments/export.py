@@ -27,7 +27,7 @@ def main(config, directory):
         artifact.save(path, model, name=config.name or card["name"], output_names=card["output_names"],
                       input_names=card["input_names"], rest=card["rest"], input_range=card["input_range"],
                       input_unit=card["input_unit"], scores=card.get("scores"), cost=card.get("cost"),
-                      sampling_time=card.get("sampling_time"),
+                      sampling_time=card.get("sampling_time"), output_range=card.get("output_range"),
                       provenance=provenance() | {"source": fingerprint(given[0]), "training": card.get("training"),
                                                  "data": card.get("data")},
                       complete=lambda aside: forms.extend(deploy(aside, formats)))

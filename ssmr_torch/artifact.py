@@ -74,8 +74,7 @@ def save(directory: str | Path, model: Model, *, output_names, input_names, rest
             "geometry": model.geometry, "units": {"length": "m", "time": "s", "input": input_unit},
             "sampling_time": model.window_timestep if sampling_time is None else float(sampling_time),
             "output_names": list(output_names), "input_names": list(input_names), "rest": rest.tolist(),
-            "input_range": bounds.tolist(), "output_range": None if output_range is None else np.array(output_range).tolist(),
-            "provenance": provenance or {},
+            "input_range": bounds.tolist(), "output_range": output_range, "provenance": provenance or {},
             "scores": {key: value if np.isfinite(value) else None for key, value in (scores or {}).items()},
             "cost": cost or {}}
     with _replacing(directory) as aside:

@@ -136,7 +136,7 @@ class TrainedModel(DataSheet):
         window, inputs, past = (array.reshape(count, *array.shape[-2:]) for array in (window, inputs, past))
         model, stride = self._at_sampling_time
         outputs = at_every_sample(as_predictor(model), stride).predict(window, past, inputs)
-        self._warn_outside("inputs", held, self.input_names, self.card.get("input_range"), 1.0, self.input_unit)
+        self._warn_outside("inputs", inputs, self.input_names, self.card.get("input_range"), 1.0, self.input_unit)
         self._warn_outside("outputs", outputs, self.output_names, self.card.get("output_range"), 1e3, "mm")
         return outputs.reshape(*leading, horizon, -1)
 
@@ -217,7 +217,8 @@ class TrainedModel(DataSheet):
         return artifact.save(folder, self.reduced, output_names=card["output_names"], input_names=card["input_names"],
                              rest=card["rest"], input_range=card["input_range"], input_unit=card["input_unit"],
                              name=card["name"], provenance=card.get("provenance"), scores=_finite(card.get("scores")),
-                             cost=card.get("cost"), sampling_time=self.sampling_time, output_range=card.get("output_range"), **more)
+                             cost=card.get("cost"), sampling_time=self.sampling_time,
+                             output_range=card.get("output_range"), **more)
 
     def data_sheet(self) -> tuple[str, dict]:
         model, said = self.reduced, self.card.get("provenance") or {}

@@ -12,6 +12,7 @@ import yaml
 from ssmr_torch.data.sampling import IRREGULAR
 from ssmr_torch.data.units import Plausible, Units
 from ssmr_torch.trajectory import SPLITS
+from ssmr_torch.turns import stated
 
 RESTS = ("last sample of decays", "median of resting samples")
 KINDS = {"list": (list, "a list"), "str": ((str, int), "text"), "dict": (dict, "keys and values")}
@@ -49,6 +50,7 @@ class Card:
     [...]}.
     sampling_time: in units.time, for files without a column of time. timestep: grid, s.
     range, interval_range, largest_input: what is plausible (`Plausible`), m, s, and N or 1.
+    symmetry: {angle, axis, inputs} of a turn under which the robot stays the same, see `ssmr_torch.turns.stated`.
     """
 
     files: list
@@ -68,6 +70,7 @@ class Card:
     range: list = field(default_factory=lambda: list(Plausible.displacement))
     interval_range: list = field(default_factory=lambda: list(Plausible.interval))
     largest_input: float | None = None
+    symmetry: dict = field(default_factory=dict)
 
     def __post_init__(self):
         if not self.files or not all(isinstance(name, str) for name in self.files):
@@ -81,6 +84,8 @@ class Card:
         self._check_rest()
         self._check_plausible()
         self._check_clock()
+        if self.symmetry:
+            stated(self.symmetry, self.columns.input, len(self.columns.observation))
 
     def _check_rest(self):
         if isinstance(self.rest, str):

@@ -38,6 +38,8 @@ def custom(card: str | Path) -> TrajectoryDataset:
         f"Lengths in {described.units.length}, inputs in {described.units.input}, time in "
         f"{described.units.time}.",
         assumed, "Each input is held until the next sample and acts after the observation of its row."]}
+    if described.symmetry:
+        provenance["symmetry"] = described.symmetry
     return assemble(recordings, rest, described.columns.observation, described.columns.input, described.units, rule,
                     provenance, plausible)
 

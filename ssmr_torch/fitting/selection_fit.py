@@ -61,8 +61,12 @@ class SelectionFit(ModelFit):
                               for decay in (True, False))
         if not controlled:
             raise ValueError("no controlled runs to learn from; record some, under inputs like those of the use")
+        settings = self.settings
+        if settings.symmetry == "find":
+            settings = settings.changed(symmetry=self.trainer.datamodule.dataset.provenance.get("symmetry", "find"))
         with tqdm(disable=not self.progress, bar_format="{desc} [{elapsed}]", leave=False, delay=2.0) as line:
-            self.choice = choose(decays, controlled, self.model.timestep, self.settings,
+            self.choice = choose(decays, controlled, self.model.timestep, settings,
+                                 input_names=self.card["input_names"],
                                  scored=None if scored is None else [names.index(name) for name in scored],
                                  say=lambda stage: line.set_description_str(f"selection: {stage}"[:110]))
         self.model.take(self.choice.model)

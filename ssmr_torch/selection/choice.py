@@ -21,6 +21,7 @@ from ssmr_torch.selection.specification import Specification
 from ssmr_torch.selection.symmetry import with_symmetry
 from ssmr_torch.selection.team import averaged, choose_team, merged, stable_pool
 from ssmr_torch.selection.trial import Outcome, Trial
+from ssmr_torch.turns import Turn
 
 POOL = 12      # of the best stable specifications, from which a team is chosen
 TRIED = 60     # of the best that are looked at for stability
@@ -43,22 +44,29 @@ class Choice:
 
 
 def choose(decays: Sequence, controlled: Sequence, timestep: float, settings: SelectionSettings | None = None, *,
-           scored: Sequence[int] | None = None, say: Callable[[str], None] = lambda line: None) -> Choice:
+           scored: Sequence[int] | None = None, input_names: Sequence[str] | None = None,
+           say: Callable[[str], None] = lambda line: None) -> Choice:
     """Choose and fit a model from training runs alone, lists of (y (T, p) m, u (T, m)), sampled every `timestep` s.
 
-    scored: columns of y that are to be predicted best; None: all. say: is told of every stage.
+    scored: columns of y that are to be predicted best; None: all. input_names: of the columns of u, by which a stated
+    symmetry names them; None: "1", "2", … say: is told of every stage.
     Raises ValueError where the runs are too short, or nothing that was tried stays bounded.
     """
     settings = SelectionSettings() if settings is None else settings
     y = np.concatenate([run[0] for run in (*decays, *controlled)])
     coordinates = _coordinates(y, settings.coordinates)
     targets = range(y.shape[1]) if scored is None else scored
-    runs = with_symmetry(controlled, settings.symmetry == "find")
-    samples = Samples(decays, runs.controlled, timestep, coordinates=coordinates, targets=targets)
     noise = measured_noise([run[0] for run in (decays or controlled)])
-    horizons = range(len(samples.horizons))[1:] if settings.purpose == "control" else None
-    trial = Trial(samples, horizons=horizons or None, noise=max(noise, settings.noise))
-    search(trial, decays=bool(decays), minutes=settings.minutes, say=say)
+
+    def trial_with(turns: Sequence[Turn]) -> Trial:
+        samples = Samples(decays, controlled, timestep, coordinates=coordinates, targets=targets, turns=turns)
+        horizons = range(len(samples.horizons))[1:] if settings.purpose == "control" else None
+        return Trial(samples, horizons=horizons or None, noise=max(noise, settings.noise))
+
+    symmetric = with_symmetry(trial_with, settings.symmetry, input_names)
+    search(symmetric.trial, decays=bool(decays), minutes=settings.minutes, say=say)
+    symmetric = symmetric.kept()
+    trial = symmetric.trial
     pool, refused = stable_pool(trial, trial.best(TRIED), POOL)
     if not pool:
         raise ValueError(f"none of the {len(trial.outcomes)} models that were tried stays within three times the "
@@ -70,9 +78,9 @@ def choose(decays: Sequence, controlled: Sequence, timestep: float, settings: Se
     members = [trial.final(each) for each in team]
     model = merged(members)
     if settings.noise > noise:
-        model = recharted(model, samples, settings.noise, noise)
+        model = recharted(model, trial.samples, settings.noise, noise)
     outcome = averaged(trial, team)
-    found_out = facts(trial, team, outcome, pool=pool, refused=refused, noise=noise, symmetry=runs.found,
+    found_out = facts(trial, team, outcome, pool=pool, refused=refused, noise=noise, symmetry=symmetric.found,
                       settings=settings)
     return Choice(model, team, outcome, sentences(found_out), found_out)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssmr_torch.models.output_coordinates import OutputCoordinates
+from ssmr_torch.turns import Turn
 
 FOLDS = 4
 PIECE = 3.0            # s, of a piece that one fold holds out
@@ -44,18 +45,22 @@ class Samples:
     """Runs y (T, p) in m, u (T, m), sampled every `timestep` s; u[k] is held from y[k] to y[k + 1].
 
     coordinates: output coordinates by name, None for the identity. targets: columns of y that are scored.
+    turns: symmetries; a copy of every run by each of them takes part in the fits, in the folds of its original, and
+    never in what is scored.
     scale: m, root mean square of y; input_mean, input_scale: (m,) of the controlled runs.
     most: rows of the controlled runs that a regression takes, evenly chosen.
-    owner, fold: (S,) run and fold of each sample of the runs one after the other, −1 of decays.
+    owner, fold: (S,) run and fold of each sample of the runs one after the other, copies last, −1 of decays.
     """
 
     def __init__(self, decays: Sequence, controlled: Sequence, timestep: float, *,
                  coordinates: Mapping[str, OutputCoordinates | None], targets: Sequence[int], past: int = PAST,
-                 most: int = MOST):
+                 most: int = MOST, turns: Sequence[Turn] = ()):
         self.timestep, self.past, self.targets, self.most = float(timestep), past, list(targets), most
+        self.turns = tuple(turns)
         self.coordinates = dict(coordinates)
         self.decays, self.controlled = list(decays), list(controlled)
-        runs = [*self.decays, *self.controlled]
+        originals = [*self.decays, *self.controlled]
+        runs = [*originals, *(turn.of(run) for turn in turns for run in originals)]
         self.y, self.u = (np.concatenate([run[k] for run in runs]) for k in (0, 1))
         self.output_dim, self.input_dim = self.y.shape[1], self.u.shape[1]
         controlled_y, controlled_u = (np.concatenate([run[k] for run in self.controlled]) for k in (0, 1))
@@ -68,12 +73,14 @@ class Samples:
         self.fold = np.full(len(self.y), -1)
         for number, (begin, end) in enumerate(self.pieces):
             self.fold[begin:end] = number % FOLDS
+        self.turns, self.originals = list(turns), sum(len(y) for y, _ in originals)
+        self.fold = np.tile(self.fold[:self.originals], 1 + len(turns))
         self.horizons = self._horizons()
         self._latent: dict[str, np.ndarray] = {}
 
     def _pieces(self):
         length = max(1, round(PIECE / self.timestep))
-        for run in range(len(self.decays), len(self.lengths)):
+        for run in range(len(self.decays), len(self.decays) + len(self.controlled)):
             ends = np.linspace(0, self.lengths[run], max(1, int(self.lengths[run]) // length) + 1).astype(int)
             yield from zip(self.first[run] + ends[:-1], self.first[run] + ends[1:])
 
@@ -89,12 +96,12 @@ class Samples:
     @property
     def is_decay(self) -> np.ndarray:
         """(S,) samples of decays."""
-        return self.owner < len(self.decays)
+        return self.owner % (len(self.decays) + len(self.controlled)) < len(self.decays)
 
     def whole(self) -> Samples:
         """The same runs, all rows of which a regression takes."""
         return Samples(self.decays, self.controlled, self.timestep, coordinates=self.coordinates,
-                       targets=self.targets, past=self.past, most=len(self.y))
+                       targets=self.targets, past=self.past, most=len(self.y), turns=self.turns)
 
     def latent(self, name: str) -> np.ndarray:
         """ξ = χ(y) of all samples, scaled, (S, p')."""
@@ -103,14 +110,17 @@ class Samples:
             self._latent[name] = (self.y if chi is None else chi.forward(self.y)) / self.scale
         return self._latent[name]
 
-    def rows(self, ahead: int, decays: bool) -> np.ndarray:
-        """Samples with `past` before and `ahead` after them in their run; of the decays, evenly, no more than of the
-        controlled runs: smooth motion repeats itself from sample to sample.
+    def rows(self, ahead: int, decays: bool, copies: bool = True) -> np.ndarray:
+        """Samples with `past` before and `ahead` after them in their run, of copies at random as many as leave the fits
+        as fast; of the decays, evenly, no more than of the controlled runs: smooth motion repeats itself from sample
+        to sample.
         """
         place = np.arange(len(self.y)) - self.first[self.owner]
         inside = (place >= self.past) & (place + ahead < self.lengths[self.owner])
+        if not copies:
+            inside[self.originals:] = False
         controlled = np.flatnonzero(inside & ~self.is_decay)
-        controlled = controlled[_even(len(controlled), self.most)]
+        controlled = controlled[_even(len(controlled), self.most * (2 if self.turns else 1))]
         if not decays:
             return controlled
         of_decays = np.flatnonzero(inside & self.is_decay)
@@ -147,9 +157,9 @@ class Samples:
     def hurried(self) -> Starts:
         """Starts of all controlled runs whose inputs follow each other twice as fast and are a quarter stronger."""
         horizon = self.horizons[-1]
-        samples = self.rows(2 * horizon, decays=False)
+        samples = self.rows(2 * horizon, decays=False, copies=False)
         if not len(samples):
-            samples, horizon = self.rows(horizon, decays=False), horizon // 2
+            samples, horizon = self.rows(horizon, decays=False, copies=False), horizon // 2
         found = self.starts(samples[_even(len(samples), FAST_STARTS)], 2 * horizon)
         inputs = np.ascontiguousarray(STRONGER * found.inputs[:, ::2])
         return Starts(found.window, found.past, inputs, found.follows[:, :horizon])

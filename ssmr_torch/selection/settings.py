@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ssmr_torch.settings import Settings, non_negative, whole
 
 PURPOSES = ("prediction", "control")
+SYMMETRIES = ("find", "none")  # or one that is stated
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,8 @@ class SelectionSettings(Settings):
         your own; None: all that the data suggest.
     team: most models that are averaged; 1 for control.
     refine: whether the best are refined by Gauss-Newton steps on rollouts.
-    symmetry: "find" a rotation of the outputs with a permutation of the inputs in the data and use it, or "none".
+    symmetry: "find" turns of the outputs with a permutation of the inputs in the data and use them, "none", or one that
+        is known, {"angle": 90, "axis": [0, 0, 1], "inputs": [...]}, see `ssmr_torch.turns.stated`.
     minutes: CPU minutes after which no further specification is tried.
 
     Raises ValueError for a value that makes no sense.
@@ -34,11 +37,13 @@ class SelectionSettings(Settings):
     coordinates: tuple[str, ...] | None = None
     team: int = 4
     refine: bool = True
-    symmetry: str = "find"
+    symmetry: str | Mapping = "find"
     minutes: float = 2.0
 
     def __post_init__(self):
-        for name, options in (("purpose", PURPOSES), ("symmetry", ("find", "none"))):
+        for name, options in (("purpose", PURPOSES), ("symmetry", SYMMETRIES)):
+            if name == "symmetry" and isinstance(self.symmetry, Mapping):
+                continue
             if getattr(self, name) not in options:
                 raise ValueError(f"{name} is {getattr(self, name)!r}; expected one of {options}")
         for name in ("scored", "coordinates"):

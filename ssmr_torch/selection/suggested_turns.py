@@ -1,0 +1,123 @@
+"""Turns that a linear response of the outputs to the inputs suggests: axes, permutations of inputs and of markers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ssmr_torch.turns import Turn, closed, marker_size, mirror, on_markers, rotation
+
+ANGLES = (60, 90, 120, 180)   # degrees
+NEAR = 0.15                   # of the response, by which a turn that is looked at more closely may miss
+CLEARER = 0.8                 # times the miss of another axis, for an axis to be taken instead
+UNLIKE = 1.5                  # ratio of two inputs' spreads from which on they do not change places
+ALTERNATIONS = 3
+
+
+def suggested(response: np.ndarray, signed: np.ndarray, spread: np.ndarray) -> list[Turn]:
+    """Turns that a linear response G (H, p, m) to steps of the inputs nearly allows, best first, one for each
+    permutation.
+
+    signed: (m,) inputs that take both signs alike; spread: (m,) of the inputs, which change places only where theirs
+    are alike. The outputs are markers of 3 (or 2) coordinates; markers may change
+    places, too.
+    """
+    size = marker_size(response.shape[1])
+    if not size or not np.linalg.norm(response):
+        return []
+    found: dict[tuple, Turn] = {}
+    for R, name in _isometries(response.reshape(len(response), -1, size, response.shape[2])):
+        turn = _assigned(response, R, signed, name)
+        missed, key = turn.missed(response), (turn.inputs.tobytes(), bool(np.linalg.det(R) > 0))
+        clearer = key not in found or missed < CLEARER * found[key].missed(response)
+        alike = (spread[turn.moved()] < UNLIKE * spread).all()
+        if missed < NEAR and alike and clearer and closed([turn]):
+            found[key] = turn
+    return sorted(found.values(), key=lambda turn: turn.missed(response))
+
+
+def _isometries(markers: np.ndarray) -> Iterable[tuple[np.ndarray, str]]:
+    """Rotations and reflections that may be symmetries of a response (H, markers, size, m), plain axes first.
+
+    The matrix of second moments of the response commutes with its symmetries: their axes and normals are eigenvectors,
+    or, where two values are alike, normals are differences of two inputs' responses. In the plane no turn by 180° is
+    among them: with inputs of both signs every linear response allows it.
+    """
+    size = markers.shape[2]
+    axes = np.linalg.eigh(np.einsum("hiam,hibm->ab", markers, markers))[1].T
+    if size == 2:
+        yield from ((rotation(angle, (0, 0)), f"turn by {angle}°") for angle in ANGLES if angle < 180)
+    else:
+        for axis in map(_pointing, (*np.eye(3)[::-1], *axes)):
+            yield from ((rotation(angle, axis), f"turn by {angle}° about {_direction(axis)}") for angle in ANGLES)
+    mean = markers.mean((0, 1)).T
+    differences = [one - sign * other for k, one in enumerate(mean) for other in mean[:k] for sign in (1, -1)]
+    least = 1e-2 * np.abs(mean).max()
+    for normal in (*np.eye(size), *axes, *(each for each in differences if np.linalg.norm(each) > least)):
+        normal = _pointing(normal / np.linalg.norm(normal))
+        yield mirror(normal), f"reflection along {_direction(normal)}"
+
+
+def _pointing(axis: np.ndarray) -> np.ndarray:
+    return axis * np.sign(axis[np.abs(axis).argmax()])
+
+
+def _direction(axis: np.ndarray) -> str:
+    nearest = int(np.abs(axis).argmax())
+    if np.abs(axis[nearest]) > 0.999:
+        return "xyz"[nearest]
+    return "(" + ", ".join(f"{value:.2f}" for value in axis) + ")"
+
+
+def placed(response: np.ndarray, turn: Turn) -> Turn:
+    """The same turn of every marker and permutation of the inputs, with the places of the markers that miss least."""
+    size = marker_size(response.shape[1])
+    R = turn.outputs[:size, :size]
+    turned, markers = _turned(response, R)
+    places = _places(turned, markers, turn.inputs)
+    other = Turn(on_markers(R, places), turn.inputs, turn.name)
+    return other if closed([other]) and other.missed(response) < CLEARER * turn.missed(response) else turn
+
+
+def _assigned(response: np.ndarray, R: np.ndarray, signed: np.ndarray, name: str) -> Turn:
+    """The turn with this isometry of every marker that misses the response least, alternating inputs and markers."""
+    turned, markers = _turned(response, R)
+    count, found = markers.shape[1], []
+    for places in (np.roll(np.arange(count), -shift) for shift in range(count)):
+        for _ in range(ALTERNATIONS):
+            P = _permutation(turned, markers[:, places], signed)
+            before, places = places, _places(turned, markers, P)
+            if (before == places).all():
+                break
+        found.append(Turn(on_markers(R, places), P, name))
+    return min(found, key=lambda turn: turn.missed(response))
+
+
+def _turned(response: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    markers = response.reshape(len(response), -1, len(R), response.shape[2])
+    return np.einsum("ab,hibm->hiam", R, markers), markers
+
+
+def _places(turned: np.ndarray, markers: np.ndarray, P: np.ndarray) -> np.ndarray:
+    """Where each marker goes, by the assignment of least squares."""
+    return _matched(np.square(turned[:, :, None] - (markers @ P)[:, None]).sum((0, 3, 4)))
+
+
+def _permutation(turned: np.ndarray, to: np.ndarray, signed: np.ndarray) -> np.ndarray:
+    """P (m, m) with turned ≈ to P, by the assignment of least squares."""
+    a, b = (each.reshape(-1, each.shape[-1]) for each in (turned, to))
+    inner = a.T @ b                                   # [j, l]: input j's turned response on that of input l
+    both = signed[:, None] & signed[None]
+    signs = np.where(both & (inner < 0), -1.0, 1.0)
+    cost = (a ** 2).sum(0)[:, None] + (b ** 2).sum(0)[None] - 2 * signs * inner
+    places = _matched(cost)
+    P = np.zeros((len(places),) * 2)
+    P[places, np.arange(len(places))] = signs[np.arange(len(places)), places]
+    return P
+
+
+def _matched(cost: np.ndarray) -> np.ndarray:
+    from scipy.optimize import linear_sum_assignment
+
+    return linear_sum_assignment(cost)[1]
