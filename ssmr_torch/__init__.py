@@ -39,7 +39,8 @@ if TYPE_CHECKING:
     from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 __all__ = ["ClosedLoopRecord", "ModelPredictiveController", "PredictiveControlSettings", "TrainedModel", "Trajectory",
-           "TrajectoryDataset", "check", "compare", "fit", "load", "plants", "read", "score", "simulate", "tasks", "trajectories"]
+           "TrajectoryDataset", "check", "compare", "fit", "load", "plants", "read", "score", "simulate", "tasks",
+           "trajectories"]
 
 __getattr__, __dir__ = lazily(__name__, {
     **{name: f"ssmr_torch.face:{name}" for name in ("check", "load", "read", "simulate")},

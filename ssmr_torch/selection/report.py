@@ -29,8 +29,9 @@ def sentences(found: dict) -> list[str]:
     errors, spread, still = (", ".join(f"{1e3 * value:.3g} mm ({label})" for value, label in zip(found[key], labels))
                              for key in ("held_out_error", "undetermined", "persistence"))
     members = found["members"]
-    lines = [f"Chosen for {found['purpose']} among {found['tried']} specifications in {found['cpu']:.0f} s of CPU time: "
-             + (members[0] if len(members) == 1 else f"the mean of {len(members)} models: " + "; ".join(members)) + ".",
+    lines = [f"Chosen for {found['purpose']} among {found['tried']} specifications in {found['cpu']:.0f} s of CPU "
+             "time: " + (members[0] if len(members) == 1
+                         else f"the mean of {len(members)} models: " + "; ".join(members)) + ".",
              f"Error on stretches held out: {errors}; persistence: {still}.",
              f"Twice as fast and a quarter stronger, the fits to different parts of the data differ by {spread}: where "
              "this exceeds the error, more recordings would help more than another model."]

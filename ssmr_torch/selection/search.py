@@ -44,8 +44,7 @@ def search(trial: Trial, *, decays: bool, minutes: float = np.inf,
     stage("size", (changed for each in _charts(trial, 2) for changed in _sizes(each)))
     stage("memory", (replace(each, memory=memory) for each in _charts(trial, 2) for memory in _memories(each, poles)))
     stage("decays", (replace(each, decays=not each.decays) for each in _charts(trial, 2) if decays))
-    if family == "slow_fast":
-        stage("fibre", (replace(each, fibre=FIBRE) for each in trial.best(3)))
+    stage("fibre", (replace(each, fibre=FIBRE) for each in trial.best(3)))
 
 
 _FEATURES = (("linear", 0), ("quadratic_map", 0), ("bilinear", 0), ("leading_bilinear", 0), ("quadratic", 0),
