@@ -51,7 +51,7 @@ class Turn:
         return np.abs(self.inputs).argmax(0)
 
     def renumbering(self, names: Sequence[str]) -> str:
-        """The same by name, in cycles, "a → b → −a, c → d → c"; what stays in its place is left out."""
+        """The same by name, in cycles, "a → b → −a, c ↔ d"; what stays in its place is left out."""
         cycles, to, left = [], self.moved(), list(range(len(names)))
         while left:
             first = k = left[0]
@@ -61,7 +61,9 @@ class Turn:
                 sign *= self.inputs[to[k], k]
                 k = to[k]
                 words.append(("−" if sign < 0 else "") + names[k])
-            if len(words) > 2 or sign < 0:
+            if len(words) == 3 and words[2] == words[0]:
+                cycles.append(" ↔ ".join(words[:2]))
+            elif len(words) > 2 or sign < 0:
                 cycles.append(" → ".join(words))
         return ", ".join(cycles)
 

@@ -9,7 +9,7 @@ import numpy as np
 from ssmr_torch.turns import Turn, closed, marker_size, mirror, on_markers, rotation
 
 ANGLES = (60, 90, 120, 180)   # degrees
-NEAR = 0.15                   # of the response, by which a turn that is looked at more closely may miss
+NEAR = 0.25                   # of the response, by which a turn that is looked at more closely may miss
 CLEARER = 0.8                 # times the miss of another axis, for an axis to be taken instead
 UNLIKE = 1.5                  # ratio of two inputs' spreads from which on they do not change places
 ALTERNATIONS = 3

@@ -313,3 +313,11 @@ def test_stored_datasets_of_one_robot_are_joined_and_those_of_two_refused(tmp_pa
 
 def test_a_dataset_is_what_every_reader_returns(tmp_path):
     assert isinstance(readers.custom(csv_card(tmp_path)), TrajectoryDataset)
+
+
+def test_a_card_states_a_symmetry_for_the_selection(tmp_path):
+    symmetry = {"angle": 180, "axis": [0, 0, 1], "inputs": ["-u"]}
+    assert readers.custom(csv_card(tmp_path, symmetry=symmetry)).provenance["symmetry"] == symmetry
+    assert "symmetry" not in readers.custom(csv_card(tmp_path)).provenance
+    with pytest.raises(ValueError, match=r"symmetry.inputs names \['cable'\], which are no inputs"):
+        readers.custom(csv_card(tmp_path, symmetry={**symmetry, "inputs": ["cable"]}))

@@ -58,10 +58,10 @@ def test_a_quarter_turn_of_four_equal_cables_is_found_and_lowers_the_error_on_wh
     assert symmetric.kept() is symmetric
 
 
-def test_a_cable_that_is_a_fifth_stronger_changes_places_with_none():
-    strongest = 0
-    symmetric = with_symmetry(trial_on((1.2, 1.0, 1.0, 1.0)), "find", CABLES)
-    assert all(turn.moved()[strongest] == strongest for turn in symmetric.turns)
+def test_of_a_robot_with_one_cable_a_fifth_stronger_only_the_reflection_that_keeps_it_is_found():
+    symmetric = with_symmetry(trial_on((1.2, 1.0, 1.0, 1.0), runs=4), "find", CABLES)
+    assert [turn.moved().tolist() for turn in symmetric.turns] == [[0, 3, 2, 1]]
+    np.testing.assert_allclose(symmetric.turns[0].isometry, mirror((0, 1, 0)), atol=0.05)
 
 
 def test_four_unequal_cables_have_no_symmetry():
@@ -74,7 +74,7 @@ def test_turned_runs_lower_the_error_on_new_runs_where_there_are_few():
                                             coordinates={"identity": None}, targets=range(3))
     errors = []
     for turns in ((), closed([quarter()])):
-        model = ClosedForm(make(turns).samples, FORMS[1]).model(1e-4)
+        model = ClosedForm(make(turns).samples, FORMS[0]).model(FORMS[0].ridge)
         starts = [fresh.held_out(fold) for fold in range(FOLDS)]
         errors.append(np.mean([np.square(rolled_out(model, each) - each.follows).mean() for each in starts]) ** 0.5)
     assert errors[1] < 0.8 * errors[0]
@@ -129,7 +129,7 @@ def test_inputs_of_unlike_ranges_do_not_change_places():
 
 def test_the_response_to_steps_of_a_symmetric_arm_is_symmetric():
     G = response(trial_on()(()).samples)
-    assert quarter().missed(G) < 0.05
+    assert quarter().missed(G) < 0.1
     assert Turn(np.eye(3), quarter().inputs).missed(G) > 0.5
 
 
@@ -144,8 +144,7 @@ def test_copies_are_left_out_where_the_best_model_does_without():
     symmetric = with_symmetry(trial_on((1.2, 1.0, 1.0, 1.0)), "none")
     make = trial_on((1.2, 1.0, 1.0, 1.0))
     forced = Symmetric(make(closed([quarter()])), closed([quarter()]), "A turn.", symmetric.trial)
-    for form in FORMS:
-        forced.trial(form)
+    forced.trial(FORMS[0])
     kept = forced.kept()
     assert kept.trial is symmetric.trial and not kept.turns and "left out" in kept.found
 
