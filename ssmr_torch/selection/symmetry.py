@@ -16,7 +16,7 @@ from ssmr_torch.selection.candidate import ALL, ClosedForm
 from ssmr_torch.selection.rollouts import rolled_out
 from ssmr_torch.selection.samples import Samples, Starts
 from ssmr_torch.selection.specification import Specification
-from ssmr_torch.selection.stability import SLOWEST
+from ssmr_torch.selection.stability import decays_at_rest
 from ssmr_torch.selection.suggested_turns import NEAR, placed, suggested
 from ssmr_torch.selection.trial import Trial
 from ssmr_torch.turns import Turn, closed, marker_size, stated
@@ -102,7 +102,7 @@ def response(samples: Samples) -> np.ndarray:
 def _stable_linear(samples: Samples) -> PolynomialModel:
     for form in LINEAR:
         model = ClosedForm(samples, form).model(form.ridge, ALL)
-        if np.abs(np.linalg.eigvals(model.linear_part)).max() < SLOWEST:
+        if decays_at_rest(model):
             return model
     raise ValueError("no linear model of the runs is stable; record longer runs")
 
