@@ -14,7 +14,7 @@ from ssmr_torch.selection.coordinates import offered
 from ssmr_torch.selection.noise import measured_noise, recharted
 from ssmr_torch.selection.refinement import refined
 from ssmr_torch.selection.report import facts, sentences
-from ssmr_torch.selection.samples import Samples
+from ssmr_torch.selection.samples import MOST, SCOUTED, Samples
 from ssmr_torch.selection.search import search
 from ssmr_torch.selection.settings import SelectionSettings
 from ssmr_torch.selection.specification import Specification
@@ -24,7 +24,8 @@ from ssmr_torch.selection.trial import Outcome, Trial
 from ssmr_torch.turns import Turn
 
 POOL = 12      # of the best stable specifications, from which a team is chosen
-TRIED = 60     # of the best that are looked at for stability
+RECONSIDERED = 24  # of the best, judged once more by all starts and more rows
+SCOUTING = 0.6     # of the CPU time, for trying them out
 ROUND_TRIP = 1e-6  # of the outputs' size, by which χ⁻¹(χ(y)) may miss y
 
 
@@ -58,18 +59,20 @@ def choose(decays: Sequence, controlled: Sequence, timestep: float, settings: Se
     targets = range(y.shape[1]) if scored is None else scored
     noise = measured_noise([run[0] for run in (decays or controlled)])
 
-    def trial_with(turns: Sequence[Turn]) -> Trial:
-        samples = Samples(decays, controlled, timestep, coordinates=coordinates, targets=targets, turns=turns)
+    def trial_with(turns: Sequence[Turn], most: int = SCOUTED) -> Trial:
+        samples = Samples(decays, controlled, timestep, coordinates=coordinates, targets=targets, turns=turns,
+                          most=most)
         horizons = range(len(samples.horizons))[1:] if settings.purpose == "control" else None
         return Trial(samples, horizons=horizons or None, noise=max(noise, settings.noise))
 
     symmetric = with_symmetry(trial_with, settings.symmetry, input_names)
-    search(symmetric.trial, decays=bool(decays), minutes=settings.minutes, say=say)
+    search(symmetric.trial, decays=bool(decays), minutes=SCOUTING * settings.minutes, say=say)
     symmetric = symmetric.kept()
-    trial = symmetric.trial
-    pool, refused = stable_pool(trial, trial.best(TRIED), POOL)
+    trial = trial_with(symmetric.turns, MOST)
+    trial.succeed(symmetric.trial, RECONSIDERED)
+    pool, refused = stable_pool(trial, trial.best(), POOL)
     if not pool:
-        raise ValueError(f"none of the {len(trial.outcomes)} models that were tried stays within three times the "
+        raise ValueError(f"none of the {trial.scouted} models that were tried stays within three times the "
                          f"measured range ({len(refused)} looked at); record longer runs, more slowly or less far, and "
                          "look at ssmr check")
     if settings.refine:

@@ -15,6 +15,7 @@ PIECE = 3.0            # s, of a piece that one fold holds out
 HORIZONS = (0.05, 0.2, 1.0)
 PAST = 20              # samples before a start that any candidate may look at
 STARTS, FAST_STARTS = 120, 80
+SCOUTED = 2000         # rows of controlled runs, and a third of the starts, while most specifications are tried
 FITTED = 150           # starts of rollouts that a model is fitted to
 MOST = 6000            # rows of controlled runs while specifications are compared
 LEAST = 2000           # rows of decays that are kept however few the controlled ones are
@@ -56,6 +57,7 @@ class Samples:
                  coordinates: Mapping[str, OutputCoordinates | None], targets: Sequence[int], past: int = PAST,
                  most: int = MOST, turns: Sequence[Turn] = ()):
         self.timestep, self.past, self.targets, self.most = float(timestep), past, list(targets), most
+        self.starts_share = 1.0 if most >= MOST else 1.0 / 3.0
         self.turns = tuple(turns)
         self.coordinates = dict(coordinates)
         self.decays, self.controlled = list(decays), list(controlled)
@@ -124,7 +126,8 @@ class Samples:
         if not decays:
             return controlled
         of_decays = np.flatnonzero(inside & self.is_decay)
-        return np.concatenate([of_decays[_even(len(of_decays), max(len(controlled), LEAST))], controlled])
+        count = min(max(len(controlled), LEAST), self.most)
+        return np.concatenate([of_decays[_even(len(of_decays), count)], controlled])
 
     def touching(self, rows: np.ndarray, ahead: int) -> np.ndarray:
         """(FOLDS, R) whether a row looks at samples that the fold holds out."""
@@ -143,7 +146,7 @@ class Samples:
         found = [np.arange(max(begin, self.first[self.owner[begin]] + self.past), end - horizon)
                  for begin, end in self.pieces[fold::FOLDS]]
         samples = np.concatenate([np.empty(0, dtype=int), *found])
-        return self.starts(samples[_even(len(samples), STARTS)], horizon)
+        return self.starts(samples[_even(len(samples), round(self.starts_share * STARTS))], horizon)
 
     def training(self, fold: int) -> Starts:
         """Starts of controlled runs that do not touch a fold's pieces, for rollouts that are fitted; FOLDS: of all."""
@@ -160,7 +163,7 @@ class Samples:
         samples = self.rows(2 * horizon, decays=False, copies=False)
         if not len(samples):
             samples, horizon = self.rows(horizon, decays=False, copies=False), horizon // 2
-        found = self.starts(samples[_even(len(samples), FAST_STARTS)], 2 * horizon)
+        found = self.starts(samples[_even(len(samples), round(self.starts_share * FAST_STARTS))], 2 * horizon)
         inputs = np.ascontiguousarray(STRONGER * found.inputs[:, ::2])
         return Starts(found.window, found.past, inputs, found.follows[:, :horizon])
 

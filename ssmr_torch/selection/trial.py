@@ -55,7 +55,7 @@ class Trial:
         self._closed: tuple[tuple, ClosedForm] | None = None
         self._whole: Samples | None = None
         self._training: dict[int, Starts] = {}
-        self.left_out = 0
+        self.left_out = self.scouted = 0
         still = [(starts.window[:, -1:, samples.targets] - starts.follows[:, :, samples.targets]) / samples.scale
                  for starts in self.held_out if len(starts)]
         self.persistence = self._errors([np.square(each).sum(-1) for each in still])
@@ -77,6 +77,12 @@ class Trial:
             except (np.linalg.LinAlgError, ValueError):
                 self.outcomes[specification] = FAILED
         return self.outcomes[specification].score
+
+    def succeed(self, scout: Trial, count: int) -> None:
+        """Try the best that a scout on fewer rows and starts found, and go on counting its time and specifications."""
+        self.began, self.left_out, self.scouted = scout.began, scout.left_out, len(scout.outcomes)
+        for each in sorted(scout.best(count), key=lambda each: str(each.regression)):
+            self(each)
 
     def closed_form(self, specification: Specification) -> ClosedForm:
         """Its closed form; that of the last one is kept, for specifications that differ in ridge alone."""
