@@ -79,7 +79,7 @@ def _by_name(models: Iterable | Mapping) -> dict[str, object]:
     if isinstance(models, Mapping):
         asked = dict(models)
     else:
-        asked = {each.upper() if isinstance(each, str) else each.name: each for each in models}
+        asked = {each.upper() if isinstance(each, str) else getattr(each, "name", repr(each)): each for each in models}
     for each in asked.values():
         if not isinstance(each, (str, TrainedModel)):
             raise TypeError(f"{each!r} is no model; expected a name of conf/model, or what fit or load returns")

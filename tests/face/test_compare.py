@@ -19,10 +19,10 @@ def found(data, dmd):
 
 
 def test_a_baseline_at_its_best_is_exact_where_the_robot_is_of_its_kind(found):
-    scores = found.groups["controlled"]
+    scores = found.groups["test"]
     assert set(scores) == {"mine", "DMD", "bilinear", "persistence", "constant velocity"}
     assert scores["DMD"]["1 s"].mean < 1e-6 < scores["persistence"]["1 s"].mean
-    assert found.diverged("DMD") == 0 and found.share_of_reach("DMD", "controlled") < 1e-4
+    assert found.diverged("DMD") == 0 and found.share_of_reach("DMD", "test") < 1e-4
 
 
 def test_a_model_that_is_given_is_taken_as_it_is(found, dmd):
@@ -32,16 +32,16 @@ def test_a_model_that_is_given_is_taken_as_it_is(found, dmd):
 def test_what_was_chosen_is_told_in_words_and_the_table_has_a_row_a_model(found):
     text = repr(found)
     assert "DMD: a window of" in text and "reach" in text and "persistence" in text
-    header, *rows = found.rows("controlled")
+    header, *rows = found.rows("test")
     assert header[:5] == ["model", "50 ms", "100 ms", "200 ms", "1 s"] and len(rows) == 5
     assert found.markdown.count("| DMD |") == len(found.groups)
 
 
 def test_a_model_is_behind_where_the_paired_bootstrap_says_so(found):
-    late = found.behind("mine")["controlled"]
-    best = found.standing("DMD")["controlled"] | found.standing("bilinear")["controlled"]
+    late = found.behind("mine")["test"]
+    best = found.standing("DMD")["test"] | found.standing("bilinear")["test"]
     assert set(late) <= set(best)
-    assert all(found.standing("mine")["controlled"][label] == "" for label in late)
+    assert all(found.standing("mine")["test"][label] == "" for label in late)
 
 
 def test_baselines_are_saved_and_loaded_as_any_model(found, data, tmp_path):
@@ -74,6 +74,6 @@ def test_the_command_writes_tables_a_figure_and_the_models(data, tmp_path):
                           capture_output=True, text=True, env=os.environ | {"OMP_NUM_THREADS": "1"})
     assert "DMD: a window of" in done.stdout
     stored = json.loads((tmp_path / "run" / "comparison.json").read_text())
-    assert stored["groups"]["controlled"]["DMD"]["horizons"][0]["label"] == "50 ms" and stored["reach"] > 0
+    assert stored["groups"]["test"]["DMD"]["horizons"][0]["label"] == "50 ms" and stored["reach"] > 0
     assert "| DMD |" in (tmp_path / "run" / "comparison.md").read_text()
     assert (tmp_path / "run" / "comparison.svg").is_file() and (tmp_path / "run" / "models" / "DMD").is_dir()
