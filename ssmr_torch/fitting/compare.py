@@ -53,7 +53,7 @@ def compare(data: TrajectoryDataset, models: Iterable | Mapping | None = None, *
                          "training runs; a comparison needs some of both (split: test, split: train)")
     outputs = data.columns(scored)
     card = data_card(data, tuple(training))
-    fitted, chosen, refused, cpu = {}, {}, {}, {}
+    fitted, chosen, refused, cpu = {}, {}, {}, {}  # by name
     trial = _trial(training, data.timestep, outputs) if any(each in KINDS for each in asked.values()) else None
     with tqdm(asked.items(), disable=progress is False, leave=False, delay=2.0, bar_format=LINE) as line:
         for name, kind in line:
@@ -63,7 +63,8 @@ def compare(data: TrajectoryDataset, models: Iterable | Mapping | None = None, *
                 fitted[name], chosen[name] = _fitted(kind, name, data, trial, card, scored, noise, seed)
             except ValueError as error:
                 refused[name] = str(error)
-            cpu[name] = process_time() - began
+            if not isinstance(kind, TrainedModel):
+                cpu[name] = process_time() - began
     if not fitted:
         raise ValueError("no model could be fitted; " + "; ".join(f"{name}: {why}" for name, why in refused.items()))
     found = compare_groups({name: each.reduced for name, each in fitted.items()}, tests, horizons=list(horizons),
@@ -78,7 +79,7 @@ def _by_name(models: Iterable | Mapping) -> dict[str, object]:
     if isinstance(models, Mapping):
         asked = dict(models)
     else:
-        asked = {each.upper() if isinstance(each, str) else each.name: each for each in models}
+        asked = {each.upper() if isinstance(each, str) else getattr(each, "name", repr(each)): each for each in models}
     for each in asked.values():
         if not isinstance(each, (str, TrainedModel)):
             raise TypeError(f"{each!r} is no model; expected a name of conf/model, or what fit or load returns")

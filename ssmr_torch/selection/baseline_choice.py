@@ -22,7 +22,7 @@ KINDS = {**dict.fromkeys(LIFTINGS, KoopmanForm), "sssr": SubmanifoldForm, "ssmr"
          "ssmr_control_augmented": ControlAugmentedForm}
 FIRST_RIDGES = (1e-7, 1e-4)  # with which sizes are compared, before all ridges are tried on the best
 REFINED = 3                  # of the best sizes
-SECONDS = 7.0                # CPU time after which no further form of a kind is tried
+SECONDS = 6.0                # CPU time after which no further form of a kind is tried
 SIZING = 0.6                 # the share of it for sizes, the rest is for ridges and decays
 LOOKED_AT = 20               # of the best, for stability
 

@@ -1,0 +1,91 @@
+"""Robots that no default was made on: `python experiments/benchmarks/robots.py [FOLDER] [ROBOT …]` (one thread).
+
+Each robot is recorded for five minutes (excitation=five_minutes), or read from FOLDER/ROBOT/trajectories.h5 where that
+is, where a new recording is kept as well. The model that is chosen from the data and all baselines at their best are
+fitted by defaults and scored on the robot's test runs; FOLDER/ROBOT/comparison.md has all tables. What is printed is one
+table, worst robot first: by the chosen model's error over a second, in % of the largest displacement.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import warnings
+from pathlib import Path
+
+import torch
+
+from ssmr_torch import configuration
+from ssmr_torch import data_sheet as sheet
+from ssmr_torch.comparison import Comparison
+from ssmr_torch.extras import remedy
+from ssmr_torch.fitting.compare import compare
+from ssmr_torch.trajectory import TrajectoryDataset
+
+ROBOTS = ("tendon_chain", "cosserat_rod", "pressure_arm", "isupport", "planar_hsa")
+CHOSEN, SMOOTH, FAST = "AUTO", "smooth-test", "double-speed-test"
+SHORT = {"decays": 6, "validation_decays": 0, "test_decays": 1, "decay_duration": 2.0}
+HEADER = ("robot", "50 ms", "200 ms", "1 s", "of reach", "double speed", "diverged", "neither best nor tied",
+          "best baseline, 50 ms", "200 ms", "1 s")
+
+
+def recorded(robot: str, *, short: bool = False) -> TrajectoryDataset:
+    """A recording of five minutes; short: of 72 s, six decays and four training runs of 8 s, for tests."""
+    config = configuration.composed("collect", [f"plant={robot}", "excitation=five_minutes"])
+    config.excitation.progress = False
+    if short:
+        config.excitation.update(SHORT)
+        config.excitation.controlled = [run for run in config.excitation.controlled if run.get("split") != "validation"]
+        for run in config.excitation.controlled:
+            run.duration, run.repeats = 8.0, 4 if run.name == "smooth-train" else 1
+    return configuration.built(config.excitation)(configuration.built(config.plant))
+
+
+def kept(robot: str, folder: Path | None) -> TrajectoryDataset:
+    """The recording in the folder; a new one where there is none."""
+    path = None if folder is None else folder / robot / "trajectories.h5"
+    if path is not None and path.is_file():
+        return TrajectoryDataset.load(path)
+    data = recorded(robot)
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        data.save(path)
+    return data
+
+
+def row(robot: str, found: Comparison) -> list[str]:
+    """Of the smooth test run: errors in mm, % of the reach; the same at double speed; the best baseline's errors."""
+    smooth = found.groups[SMOOTH]
+    labels = ("50 ms", "200 ms", "1 s")
+    others = [found.best_other(SMOOTH, label, CHOSEN) for label in labels]
+    behind = [f"{group} {', '.join(late)}" for group, late in found.behind(CHOSEN).items() if late]
+    return [robot, *(sheet.number(1e3 * smooth[CHOSEN][label].mean) for label in labels),
+            *(f"{sheet.number(100 * found.share_of_reach(CHOSEN, group), 2)} %" for group in (SMOOTH, FAST)),
+            f"{sheet.number(100 * found.diverged(CHOSEN))} %", "; ".join(behind) or "–",
+            *(f"{sheet.number(1e3 * smooth[other][label].mean)} {other}" for other, label in zip(others, labels))]
+
+
+def main() -> None:
+    logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
+    warnings.filterwarnings("ignore")
+    torch.set_num_threads(1)
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else None
+    found: dict[str, Comparison] = {}
+    for robot in sys.argv[2:] or ROBOTS:
+        try:
+            found[robot] = compare(kept(robot, folder))
+        except ModuleNotFoundError as error:
+            print(f"{robot}: {remedy(error) or error}")
+            continue
+        print(f"{robot}\n{found[robot]}\n", flush=True)
+        if folder is not None:
+            aside = folder / robot / "comparison.md.part"
+            aside.write_text(found[robot].markdown)
+            os.replace(aside, aside.with_suffix(""))
+    worst = sorted(found, key=lambda robot: -found[robot].share_of_reach(CHOSEN, SMOOTH))
+    print(sheet.columns([list(HEADER), *(row(robot, found[robot]) for robot in worst)]))
+
+
+if __name__ == "__main__":
+    main()
