@@ -141,8 +141,8 @@ def stated(statement: Mapping, input_names: Sequence[str], outputs: int) -> Turn
     R = rotation(float(angle), axis if size == 3 else (0, 0))
     turn = Turn(np.kron(np.eye(outputs // size), R), P, f"turn by {angle:g}°")
     if closed([turn]) is None:
-        raise ValueError(f"symmetry: after {round(360 / abs(angle))} turns by {angle:g}° the robot is as before, but the "
-                         f"inputs {list(statement['inputs'])} are not; correct the angle or the order of the inputs")
+        raise ValueError(f"symmetry: after {round(360 / abs(angle))} turns by {angle:g}° the robot is as before, but "
+                         f"the inputs {list(statement['inputs'])} are not; correct the angle or the order of the inputs")
     return turn
 
 

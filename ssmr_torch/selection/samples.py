@@ -112,14 +112,15 @@ class Samples:
         inside = (place >= self.past) & (place + ahead < self.lengths[self.owner])
         if not copies:
             inside[self.originals:] = False
-        controlled = np.flatnonzero(inside & ~self.is_decay)
-        most = max(MOST, int((controlled < self.originals).sum()))
-        if len(controlled) > most:
-            controlled = np.sort(np.random.default_rng(0).choice(controlled, most, replace=False))
+        controlled, of_decays = np.flatnonzero(inside & ~self.is_decay), np.flatnonzero(inside & self.is_decay)
+        recorded, released = ((rows < self.originals).sum() for rows in (controlled, of_decays))
+        if len(controlled) > max(MOST, recorded):
+            controlled = np.sort(np.random.default_rng(0).choice(controlled, max(MOST, recorded), replace=False))
         if not decays:
             return controlled
-        of_decays = np.flatnonzero(inside & self.is_decay)
-        return np.concatenate([of_decays[_even(len(of_decays), max(len(controlled), LEAST))], controlled])
+        share = len(controlled) / max(recorded, 1)  # decays weigh as much as they did before there were copies
+        return np.concatenate([of_decays[_even(len(of_decays), round(share * min(released, max(recorded, LEAST))))],
+                               controlled])
 
     def touching(self, rows: np.ndarray, ahead: int) -> np.ndarray:
         """(FOLDS, R) whether a row looks at samples that the fold holds out."""

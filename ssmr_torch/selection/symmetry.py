@@ -78,8 +78,8 @@ def with_symmetry(make: Callable[[Sequence[Turn]], Trial], wish: str | Mapping,
     if G is None:
         return Symmetric(plain, found="No symmetry was looked for: the runs determine no stable linear response.")
     if not marker_size(samples.output_dim):
-        return Symmetric(plain, found=f"No symmetry was looked for: {samples.output_dim} outputs are no markers of 3 or 2 "
-                                      "coordinates.")
+        return Symmetric(plain, found=f"No symmetry was looked for: {samples.output_dim} outputs are no markers of 3 or "
+                                      "2 coordinates.")
     return _found(make, plain, G, names)
 
 
@@ -140,8 +140,8 @@ def _found(make, plain: Trial, G: np.ndarray, names: list[str]) -> Symmetric:
     signed = np.minimum(least, most) > SIGNED * np.maximum(least, most)
     turns = suggested(G, signed, samples.input_scale)
     if not turns:
-        return Symmetric(plain, found=f"No symmetry was found: turns by 60°, 90°, 120° and 180° and reflections, with the "
-                                      f"inputs renumbered, change the response to steps by {100 * NEAR:.0f} % or more.")
+        return Symmetric(plain, found="No symmetry was found: turns by 60°, 90°, 120° and 180° and reflections, with "
+                                      f"the inputs renumbered, change the response to steps by {100 * NEAR:.0f} % or more.")
     for form in FORMS:
         for name in samples.coordinates:
             plain(replace(form, coordinates=name))
