@@ -59,17 +59,18 @@ def choose(decays: Sequence, controlled: Sequence, timestep: float, settings: Se
     targets = range(y.shape[1]) if scored is None else scored
     noise = measured_noise([run[0] for run in (decays or controlled)])
 
-    def trial_with(turns: Sequence[Turn], most: int = SCOUTED) -> Trial:
+    def trial_with(turns: Sequence[Turn], most: int = MOST) -> Trial:
         samples = Samples(decays, controlled, timestep, coordinates=coordinates, targets=targets, turns=turns,
                           most=most)
         horizons = range(len(samples.horizons))[1:] if settings.purpose == "control" else None
         return Trial(samples, horizons=horizons or None, noise=max(noise, settings.noise))
 
     symmetric = with_symmetry(trial_with, settings.symmetry, input_names)
-    search(symmetric.trial, decays=bool(decays), minutes=SCOUTING * settings.minutes, say=say)
+    scout = trial_with(symmetric.turns, SCOUTED)
+    search(scout, decays=bool(decays), minutes=SCOUTING * settings.minutes, say=say)
+    symmetric.trial.succeed(scout, RECONSIDERED)
     symmetric = symmetric.kept()
-    trial = trial_with(symmetric.turns, MOST)
-    trial.succeed(symmetric.trial, RECONSIDERED)
+    trial = symmetric.trial
     pool, refused = stable_pool(trial, trial.best(), POOL)
     if not pool:
         raise ValueError(f"none of the {trial.scouted} models that were tried stays within three times the "

@@ -18,8 +18,8 @@ def facts(trial, team, outcome, *, pool, refused, noise, symmetry, settings: Sel
             "persistence": in_m.tolist(), "score": outcome.score,
             "rivals": [[str(each), trial.outcomes[each].score] for each in rivals],
             "single": trial.outcomes[team[0]].score,
-            "tried": max(trial.scouted, len(trial.outcomes)), "refused": [str(each) for each in refused], "noise": noise,
-            "symmetry": symmetry, "purpose": settings.purpose, "coordinates": list(samples.coordinates),
+            "tried": max(trial.scouted, len(trial.outcomes)), "refused": [str(each) for each in refused],
+            "noise": noise, "symmetry": symmetry, "purpose": settings.purpose, "coordinates": list(samples.coordinates),
             "cpu": trial.cpu, "left_out": trial.left_out}
 
 

@@ -80,7 +80,7 @@ class Trial:
 
     def succeed(self, scout: Trial, count: int) -> None:
         """Try the best that a scout on fewer rows and starts found, and go on counting its time and specifications."""
-        self.began, self.left_out, self.scouted = scout.began, scout.left_out, len(scout.outcomes)
+        self.left_out, self.scouted = scout.left_out, len(scout.outcomes)
         for each in sorted(scout.best(count), key=lambda each: str(each.regression)):
             self(each)
 
