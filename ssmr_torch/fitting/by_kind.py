@@ -32,8 +32,9 @@ def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name
         **options) -> TrainedModel:
     """Fit a model to the training runs of a dataset, exactly as `ssmr train model=KIND` does, and score it.
 
-    kind: a name of conf/model: "ssmr" (spectral submanifold), "sssr" (its linear counterpart), "dmd", "edmd",
-    "edmd_bilinear", "ssmr_control_augmented", "neural_ode", "tpwl", …; None chooses "ssmr", and says so.
+    kind: a name of conf/model: "auto", a slow-fast model whose form is chosen from the training runs alone, see
+    `SelectionSettings` for its options; "ssmr" (spectral submanifold), "sssr" (its linear counterpart), "dmd", "edmd",
+    "edmd_bilinear", "ssmr_control_augmented", "neural_ode", "tpwl", …; None: "auto".
     options: keys of the configuration with their values, by their last name where it is one of a kind (state_dim=8,
     transient=0.2 s, ridge=1e-6) or by the whole one, **{"fit.refinement.epochs": 0}; and fit, derivative, plant,
     experiment, which choose one of conf/.  seed: of all that is drawn. name: in tables; by default that of the kind.
@@ -92,8 +93,7 @@ def _trained(config, data: TrajectoryDataset, directory: Path, progress: bool | 
 def _kind(kind: str | None, config_dir: str | Path | None) -> tuple[str, str]:
     """The kind, and what is to be said of the choice. Raises ValueError for one that no folder has."""
     if kind is None:
-        return "ssmr", ('fitting "ssmr", a spectral submanifold of six dimensions, with which most soft robots begin; '
-                        'fit(data, "sssr") is its linear counterpart')
+        return "auto", ""
     refuse_unknown_kind(kind, config_dir)
     return kind, ""
 
@@ -129,6 +129,7 @@ def _sentence(training: Training, card: dict) -> str:
     cost = training.cost
     lines = [f"{card['name']}: {cost['state_dim']:.0f} states, {cost['parameters']:.0f} parameters from "
              f"{cost['decays']:.0f} decays and {cost['controlled_samples']:.0f} samples of controlled runs{error}"]
+    lines += list(dict.fromkeys(line for report in training.report.values() for line in report.get("found", ())))
     lines += [f"look here: {warning}" for warning in dict.fromkeys(
         warning for report in training.report.values() for warning in report["warnings"])]
     return "\n".join(lines)

@@ -80,6 +80,7 @@ def diagnose(fit, trajectories: Sequence, transient: float = 0.0) -> dict:
     report["window_dim"], report["state_dim"] = model.window_dim, model.state_dim
     report["repairs"] = getattr(fit, "repairs", {})
     report["warnings"] = warnings(report, model) + getattr(fit, "remarks", [])
+    report["found"], report["facts"] = getattr(fit, "found", []), getattr(fit, "facts", {})
     return report
 
 

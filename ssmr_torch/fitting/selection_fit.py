@@ -20,7 +20,7 @@ class SelectionFit(ModelFit):
 
     settings: `SelectionSettings`, which says what each is; changes: some of them by name, in their place. progress:
     whether a line shows which stage the selection is in.
-    choice: what was found, None before. remarks: its sentences, for the report.
+    choice: what was found, None before. found, facts: its sentences and plain values, for the report.
     Raises ValueError for outputs that the data do not have, or data without controlled runs, before any work.
     """
 
@@ -36,7 +36,7 @@ class SelectionFit(ModelFit):
         self.procedure = _WholeRuns()
         self.automatic_optimization = False
         self.choice: Choice | None = None
-        self.remarks: list[str] = []
+        self.found: list[str] = []
         self.facts: dict = {}
 
     def configure_optimizers(self) -> ExactSolve:
@@ -70,7 +70,7 @@ class SelectionFit(ModelFit):
                                  scored=None if scored is None else [names.index(name) for name in scored],
                                  say=lambda stage: line.set_description_str(f"selection: {stage}"[:110]))
         self.model.take(self.choice.model)
-        self.remarks, self.facts = self.choice.sentences, self.choice.facts
+        self.found, self.facts = self.choice.sentences, self.choice.facts
         self.log_dict({"fit/tried": float(self.facts["tried"]), "fit/members": float(len(self.facts["members"]))})
         self.optimizers().step()
 
