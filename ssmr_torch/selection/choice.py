@@ -68,14 +68,14 @@ def choose(decays: Sequence, controlled: Sequence, timestep: float, settings: Se
     symmetric = with_symmetry(trial_with, settings.symmetry, input_names)
     scout = trial_with(symmetric.turns, SCOUTED)
     search(scout, decays=bool(decays), minutes=SCOUTING * settings.minutes, say=say)
-    symmetric.trial.succeed(scout, RECONSIDERED)
+    symmetric.trial.reconsider(scout.best(RECONSIDERED))
     symmetric = symmetric.kept()
     trial = symmetric.trial
     pool, refused = stable_pool(trial, trial.best(), POOL)
     if not pool:
-        raise ValueError(f"none of the {trial.scouted} models that were tried stays within three times the "
-                         f"measured range ({len(refused)} looked at); record longer runs, more slowly or less far, and "
-                         "look at ssmr check")
+        raise ValueError(f"none of the {len(scout.outcomes)} models that were tried stays within three times the "
+                         f"measured range ({len(refused)} looked at); record longer runs, more slowly or less far, "
+                         "and look at ssmr check")
     if settings.refine:
         pool = refined(trial, pool, say=say)
     team = choose_team(trial, pool, 1 if settings.purpose == "control" else settings.team)
@@ -84,8 +84,8 @@ def choose(decays: Sequence, controlled: Sequence, timestep: float, settings: Se
     if settings.noise > noise:
         model = recharted(model, trial.samples, settings.noise, noise)
     outcome = averaged(trial, team)
-    found_out = facts(trial, team, outcome, pool=pool, refused=refused, noise=noise, symmetry=symmetric.found,
-                      settings=settings)
+    found_out = facts(trial, team, outcome, scout=scout, pool=pool, refused=refused, noise=noise,
+                      symmetry=symmetric.found, settings=settings)
     return Choice(model, team, outcome, sentences(found_out), found_out)
 
 

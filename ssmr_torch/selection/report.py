@@ -7,7 +7,7 @@ import numpy as np
 from ssmr_torch.selection.settings import SelectionSettings
 
 
-def facts(trial, team, outcome, *, pool, refused, noise, symmetry, settings: SelectionSettings) -> dict:
+def facts(trial, team, outcome, *, scout, pool, refused, noise, symmetry, settings: SelectionSettings) -> dict:
     """Plain values: what was chosen, errors and spread by horizon in m, the closest others, noise, CPU time."""
     samples = trial.samples
     horizons = [round(steps * samples.timestep, 6) for steps in samples.horizons]
@@ -18,9 +18,9 @@ def facts(trial, team, outcome, *, pool, refused, noise, symmetry, settings: Sel
             "persistence": in_m.tolist(), "score": outcome.score,
             "rivals": [[str(each), trial.outcomes[each].score] for each in rivals],
             "single": trial.outcomes[team[0]].score,
-            "tried": max(trial.scouted, len(trial.outcomes)), "refused": [str(each) for each in refused],
+            "tried": len(scout.outcomes), "refused": [str(each) for each in refused],
             "noise": noise, "symmetry": symmetry, "purpose": settings.purpose, "coordinates": list(samples.coordinates),
-            "cpu": trial.cpu, "left_out": trial.left_out}
+            "cpu": trial.cpu, "left_out": scout.left_out}
 
 
 def sentences(found: dict) -> list[str]:

@@ -55,7 +55,7 @@ class Trial:
         self._closed: tuple[tuple, ClosedForm] | None = None
         self._whole: Samples | None = None
         self._training: dict[int, Starts] = {}
-        self.left_out = self.scouted = 0
+        self.left_out = 0
         still = [(starts.window[:, -1:, samples.targets] - starts.follows[:, :, samples.targets]) / samples.scale
                  for starts in self.held_out if len(starts)]
         self.persistence = self._errors([np.square(each).sum(-1) for each in still])
@@ -78,10 +78,9 @@ class Trial:
                 self.outcomes[specification] = FAILED
         return self.outcomes[specification].score
 
-    def succeed(self, scout: Trial, count: int) -> None:
-        """Try the best that a scout on fewer rows and starts found, and go on counting its time and specifications."""
-        self.left_out, self.scouted = scout.left_out, len(scout.outcomes)
-        for each in sorted(scout.best(count), key=lambda each: str(each.regression)):
+    def reconsider(self, specifications: Sequence[Specification]) -> None:
+        """Try what did best on fewer rows and starts."""
+        for each in sorted(specifications, key=lambda each: str(each.regression)):
             self(each)
 
     def closed_form(self, specification: Specification) -> ClosedForm:
