@@ -19,13 +19,15 @@ PLANT := $(or $(PLANT_$(PRESET)),$(error PRESET is $(PRESET); expected quick or 
 
 run: .venv/installed
 	$(BIN)/ssmr collect plant=$(PLANT) excitation=trunk hydra.run.dir=$(RUN)/collect
+	$(BIN)/ssmr train experiment=trunk model=auto \
+		data.path=$(RUN)/collect/trajectories.h5 hydra.run.dir=$(RUN)/train/auto
 	$(BIN)/ssmr train experiment=trunk model=ssmr model.dynamics_degree=2 model.parametrization_degree=1 \
 		data.path=$(RUN)/collect/trajectories.h5 hydra.run.dir=$(RUN)/train/ssmr
 	$(BIN)/ssmr train experiment=trunk model=sssr \
 		data.path=$(RUN)/collect/trajectories.h5 hydra.run.dir=$(RUN)/train/sssr
-	$(BIN)/ssmr export -m checkpoint=$(RUN)/train/ssmr/model.ckpt,$(RUN)/train/sssr/model.ckpt \
+	$(BIN)/ssmr export -m checkpoint=$(RUN)/train/ssmr/model.ckpt,$(RUN)/train/sssr/model.ckpt,$(RUN)/train/auto/model.ckpt \
 		hydra.sweep.dir=$(RUN)/export
-	$(BIN)/ssmr evaluate 'artifact=[$(RUN)/export/0/artifact,$(RUN)/export/1/artifact]' \
+	$(BIN)/ssmr evaluate 'artifact=[$(RUN)/export/2/artifact,$(RUN)/export/0/artifact,$(RUN)/export/1/artifact]' \
 		data.path=$(RUN)/collect/trajectories.h5 kind=controlled 'outputs=[tip_x,tip_y,tip_z]' hydra.run.dir=$(RUN)/evaluate
 	$(BIN)/ssmr control -m artifact=$(RUN)/export/0/artifact,$(RUN)/export/1/artifact plant=$(PLANT) \
 		controller=scp_trunk task=letter hydra.sweep.dir=$(RUN)/control

@@ -57,7 +57,8 @@ class SelectionFit(ModelFit):
         strange = [name for name in scored or () if name not in names]
         if strange:
             raise ValueError(f"scored names {strange}, which are no outputs; there are {names}")
-        decays, controlled = ([(run.observation, run.input) for run in runs if (run.kind == "decay") == decay]
+        stride = self.trainer.datamodule.sampling
+        decays, controlled = ([_sampled(run, stride) for run in runs if (run.kind == "decay") == decay]
                               for decay in (True, False))
         if not controlled:
             raise ValueError("no controlled runs to learn from; record some, under inputs like those of the use")
@@ -78,6 +79,13 @@ class SelectionFit(ModelFit):
         again = SlowFast(**checkpoint["model"]["arguments"])
         with torch.no_grad():
             self.model.take(again.reduced.numpy())
+
+
+def _sampled(run, stride: int) -> tuple:
+    """Every `stride`-th observation of a run, and the mean of the inputs held until the next one."""
+    steps = run.length // stride
+    return (run.observation[:steps * stride:stride],
+            run.input[:steps * stride].reshape(steps, stride, -1).mean(axis=1))
 
 
 class _WholeRuns:

@@ -14,7 +14,7 @@ from ssmr_torch.models.integrators import map_linearization, repeated_map, rk4_l
 from ssmr_torch.models.monomials import Form, on_device
 from ssmr_torch.models.output_coordinates import OutputCoordinates, coordinates_from_plain
 from ssmr_torch.models.saturation import saturated
-from ssmr_torch.models.structure import Structure
+from ssmr_torch.models.structure import Structure, shape_in_words
 from ssmr_torch.periods import whole_multiple
 
 
@@ -113,19 +113,12 @@ class PolynomialModel(Model):
 
     @property
     def geometry(self) -> str:
-        rows, n, degree = len(self.parametrization), self.state_dim, self.structure.parametrization.highest
-        seen = super().geometry
+        seen, rows = super().geometry, len(self.parametrization)
         if self.coordinates is not None:
             seen += f"; in output coordinates: {self.coordinates.words}"
         if rows == self.latent_dim:
             return seen
-        if rows == n:
-            shape = f"p = n = {n}: the parametrization is linear, all nonlinearity sits in the dynamics"
-        elif degree == 1:
-            shape = f"p = {rows} > n = {n}, parametrization of degree 1: a flat manifold"
-        else:
-            shape = f"p = {rows} > n = {n}, parametrization of degree {degree}: a curved manifold"
-        return f"{seen}; {shape}"
+        return f"{seen}; {shape_in_words(rows, self.state_dim, self.structure.parametrization.highest)}"
 
     @cached_property
     def constant_states(self) -> np.ndarray:
@@ -258,13 +251,14 @@ class PolynomialModel(Model):
 
     def drift(self, z: Array) -> Array:
         """f(z, 0), the dynamics without input, (..., ·)."""
-        xp = namespace(z)
-        return self.rate(z, xp.zeros_like(z[..., :1]) + like(z, np.zeros(self.input_dim)))
+        return self.rate(z, self._without_input(z))
 
     def control_field(self, z: Array) -> Array:
         """∂f/∂u at u = 0, (..., ·, m)."""
-        xp = namespace(z)
-        return self.rate_jacobians(z, xp.zeros_like(z[..., :1]) + like(z, np.zeros(self.input_dim)))[1]
+        return self.rate_jacobians(z, self._without_input(z))[1]
+
+    def _without_input(self, z: Array) -> Array:
+        return namespace(z).zeros_like(z[..., :1]) + like(z, np.zeros(self.input_dim))
 
     def state_jacobian(self, z: Array, u: Array) -> Array:
         """∂f/∂z (..., ·, n)."""

@@ -71,3 +71,11 @@ class Structure(NamedTuple):
             if tuple(shapes[name]) != shape:
                 raise ValueError(f"the table {name} has shape {tuple(shapes[name])}; {n} states and the structure need "
                                  f"{shape}")
+
+
+def shape_in_words(rows: int, state_dim: int, degree: int) -> str:
+    """Of a parametrization of a whole window, with so many rows, of this degree: what manifold it is."""
+    if rows == state_dim:
+        return f"p = n = {rows}: the parametrization is linear, all nonlinearity sits in the dynamics"
+    kind = "a flat manifold" if degree == 1 else "a curved manifold"
+    return f"p = {rows} > n = {state_dim}, parametrization of degree {degree}: {kind}"
