@@ -38,7 +38,8 @@ def on_page_markdown(markdown, page, config, files):
 
 def on_page_content(html, page, config, files):
     """Formulas as MathML; on the pages of the API, arguments on lines of their own."""
-    html = FORMULA.sub(lambda found: convert(unescape(found[2]), "block" if found[1] == "div" else "inline"), html)
+    shown = {"div": "block", "span": "inline"}
+    html = FORMULA.sub(lambda found: convert(unescape(found[2]), display=shown[found[1]]), html)
     if page.file.src_uri.startswith("api/"):
         html = PARAGRAPH.sub(lambda found: ARGUMENT.sub("<br>\n", found[0]), html)
     return html

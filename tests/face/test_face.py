@@ -48,14 +48,16 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 NOTEBOOK = README.partition("```python\n")[2].partition("```")[0]
 
 
-def test_read_fit_predict_score_and_save_take_one_import_and_ten_statements(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("fit", [pytest.param("ssmr.fit(data)", marks=pytest.mark.slow), 'ssmr.fit(data, "ssmr")'])
+def test_read_fit_predict_score_and_save_take_one_import_and_ten_statements(fit, tmp_path, monkeypatch, capsys):
     statements = ast.parse(NOTEBOOK).body
     assert len(statements) <= 10 and sum(isinstance(each, ast.Import) for each in statements) == 1
     write_card(tmp_path)
     monkeypatch.chdir(tmp_path)
     done = {}
-    exec(NOTEBOOK, done)
-    error = np.linalg.norm(done["prediction"] - done["run"].observation[2:102], axis=1)
+    assert NOTEBOOK.count("ssmr.fit(data)") == 1
+    exec(NOTEBOOK.replace("ssmr.fit(data)", fit), done)
+    error = np.linalg.norm(done["prediction"] - done["run"].observation[done["d"] + 1:done["d"] + 101], axis=1)
     assert error.shape == (100,) and error.max() < 5e-3 and "persistence" in capsys.readouterr().out
     assert (tmp_path / "artifact" / "card.json").is_file() and not (tmp_path / "outputs").exists()
 
