@@ -142,7 +142,7 @@ def stated(statement: Mapping, input_names: Sequence[str], outputs: int) -> Turn
     turn = Turn(np.kron(np.eye(outputs // size), R), P, f"turn by {angle:g}°")
     if closed([turn]) is None:
         raise ValueError(f"symmetry: after {round(360 / abs(angle))} turns by {angle:g}° the robot is as before, but "
-                         f"the inputs {list(statement['inputs'])} are not; correct the angle or the order of the inputs")
+                         f"the inputs {list(statement['inputs'])} are not: correct the angle or their order")
     return turn
 
 
