@@ -82,7 +82,7 @@ def _direction(axis: np.ndarray) -> str:
     nearest = int(np.abs(axis).argmax())
     if np.abs(axis[nearest]) > 1 - EXACT:
         return "xyz"[nearest]
-    return "(" + ", ".join(f"{value:.2f}" for value in axis) + ")"
+    return "(" + ", ".join(f"{round(value, 2) + 0.0:.2f}" for value in axis) + ")"
 
 
 def placed(response: np.ndarray, turn: Turn) -> Turn:

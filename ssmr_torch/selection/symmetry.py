@@ -23,7 +23,7 @@ from ssmr_torch.turns import Turn, closed, marker_size, stated
 
 STEP, INSTANTS = 1.0, 10    # s and samples of the responses that are compared
 SIGNED = 0.5                # of an input's largest value, that it takes with the other sign, too
-TIE = 1.03                  # times the error on what is held out, that copies may cost where the score is better
+TIE = 1.03                  # times an error, that is no difference: of two such groups of turns the larger is used
 RIVALS = 20                 # specifications whose fits without copies are looked at, where the best does without
 LINEAR = [Specification(delays=delays, memory=("shift", delays)) for delays in (4, 2, 1)]
 FORMS = (Specification(features="configuration_affine", ridge=1e-2),
@@ -151,7 +151,9 @@ def _found(make, plain: Trial, G: np.ndarray, names: list[str]) -> Symmetric:
     if not np.isfinite(_value(plain, form)):
         return Symmetric(plain, found="No symmetry was used: no model of the runs judges it.")
     tried = [(make(closed(generators)), generators) for each in turns for generators in groups(each)]
-    trial, generators = min(tried, key=lambda each: _value(each[0], form))
+    tied = min(_value(each, form) for each, _ in tried) + np.log(TIE)
+    trial, generators = max((each for each in tried if _value(each[0], form) <= tied),
+                            key=lambda each: (len(each[0].samples.turns), -_value(each[0], form)))
     before, after = (_error(each, form) for each in (plain, trial))
     words = _words(generators, G, names)
     if not (_value(trial, form) < _value(plain, form) and after < TIE * before):
