@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -10,53 +11,67 @@ from ssmr_torch.turns import Turn, closed, marker_size, mirror, on_markers, rota
 
 ANGLES = (60, 90, 120, 180)   # degrees
 NEAR = 0.25                   # of the response, by which a turn that is looked at more closely may miss
-CLEARER = 0.8                 # times the miss of another axis, for an axis to be taken instead
+CLEARER = 0.8                 # times what markers in their places miss, for other places to be taken
+SMALL, EXACT = 1e-2, 1e-9     # of the response: differences that have no direction; of an axis, to be named by a letter
 UNLIKE = 1.5                  # ratio of two inputs' spreads from which on they do not change places
 ALTERNATIONS = 3
 
 
-def suggested(response: np.ndarray, signed: np.ndarray, spread: np.ndarray) -> list[Turn]:
+def suggested(response: np.ndarray, signed: np.ndarray, spread: np.ndarray, inferred: bool = False) -> list[Turn]:
     """Turns that a linear response G (H, p, m) to steps of the inputs nearly allows, best first, one for each
     permutation.
 
     signed: (m,) inputs that take both signs alike; spread: (m,) of the inputs, which change places only where theirs
-    are alike. The outputs are markers of 3 (or 2) coordinates; markers may change
-    places, too.
+    are alike. inferred: whether axes are inferred from the response, for markers measured in a frame that is not the
+    robot's; else they are coordinate axes, and normals of reflections have multiples of 15° to them. The outputs are
+    markers of 3 (or 2) coordinates; markers may change places, too.
     """
     size = marker_size(response.shape[1])
     if not size or not np.linalg.norm(response):
         return []
     found: dict[tuple, Turn] = {}
-    for R, name in _isometries(response.reshape(len(response), -1, size, response.shape[2])):
+    axes, normals = _inferred(response, size) if inferred else (list(np.eye(size)[::-1]), _plain_normals(size))
+    for R, name in _isometries(size, axes, normals):
         turn = _assigned(response, R, signed, name)
         missed, key = turn.missed(response), (turn.inputs.tobytes(), bool(np.linalg.det(R) > 0))
-        clearer = key not in found or missed < CLEARER * found[key].missed(response)
+        better = key not in found or missed < found[key].missed(response)
         alike = (spread[turn.moved()] < UNLIKE * spread).all()
-        if missed < NEAR and alike and clearer and closed([turn]):
+        if missed < NEAR and alike and better and closed([turn]):
             found[key] = turn
     return sorted(found.values(), key=lambda turn: turn.missed(response))
 
 
-def _isometries(markers: np.ndarray) -> Iterable[tuple[np.ndarray, str]]:
-    """Rotations and reflections that may be symmetries of a response (H, markers, size, m), plain axes first.
-
-    The matrix of second moments of the response commutes with its symmetries: their axes and normals are eigenvectors,
-    or, where two values are alike, normals are differences of two inputs' responses. In the plane no turn by 180° is
-    among them: with inputs of both signs every linear response allows it.
+def _isometries(size: int, axes: Sequence, normals: Sequence) -> Iterable[tuple[np.ndarray, str]]:
+    """Rotations and reflections. In the plane no turn by 180° is among them: with inputs of both signs every linear
+    response allows it.
     """
-    size = markers.shape[2]
-    axes = np.linalg.eigh(np.einsum("hiam,hibm->ab", markers, markers))[1].T
     if size == 2:
         yield from ((rotation(angle, (0, 0)), f"turn by {angle}°") for angle in ANGLES if angle < 180)
     else:
-        for axis in map(_pointing, (*np.eye(3)[::-1], *axes)):
+        for axis in map(_pointing, axes):
             yield from ((rotation(angle, axis), f"turn by {angle}° about {_direction(axis)}") for angle in ANGLES)
+    yield from ((mirror(normal), f"reflection along {_direction(normal)}") for normal in map(_pointing, normals))
+
+
+def _plain_normals(size: int) -> list[np.ndarray]:
+    """Coordinate axes, and every 15° between two of them."""
+    turned = [np.cos(angle) * one + np.sin(angle) * other for one, other in combinations(np.eye(size), 2)
+              for angle in np.deg2rad(np.arange(15, 180, 15)) if angle != np.pi / 2]
+    return [*np.eye(size), *turned]
+
+
+def _inferred(response: np.ndarray, size: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Axes, and normals of reflections.
+
+    The matrix of second moments of the response commutes with its symmetries: their axes and normals are eigenvectors,
+    or, where two values are alike, normals are differences of two inputs' responses.
+    """
+    markers = response.reshape(len(response), -1, size, response.shape[2])
+    axes = list(np.linalg.eigh(np.einsum("hiam,hibm->ab", markers, markers))[1].T)
     mean = markers.mean((0, 1)).T
-    differences = [one - sign * other for k, one in enumerate(mean) for other in mean[:k] for sign in (1, -1)]
-    least = 1e-2 * np.abs(mean).max()
-    for normal in (*np.eye(size), *axes, *(each for each in differences if np.linalg.norm(each) > least)):
-        normal = _pointing(normal / np.linalg.norm(normal))
-        yield mirror(normal), f"reflection along {_direction(normal)}"
+    differences = [one - sign * other for one, other in combinations(mean, 2) for sign in (1, -1)]
+    least = SMALL * np.abs(mean).max()
+    return axes, [*axes, *(each / np.linalg.norm(each) for each in differences if np.linalg.norm(each) > least)]
 
 
 def _pointing(axis: np.ndarray) -> np.ndarray:
@@ -65,9 +80,9 @@ def _pointing(axis: np.ndarray) -> np.ndarray:
 
 def _direction(axis: np.ndarray) -> str:
     nearest = int(np.abs(axis).argmax())
-    if np.abs(axis[nearest]) > 0.999:
+    if np.abs(axis[nearest]) > 1 - EXACT:
         return "xyz"[nearest]
-    return "(" + ", ".join(f"{value:.2f}" for value in axis) + ")"
+    return "(" + ", ".join(f"{round(value, 2) + 0.0:.2f}" for value in axis) + ")"
 
 
 def placed(response: np.ndarray, turn: Turn) -> Turn:

@@ -23,6 +23,7 @@ from ssmr_torch.turns import Turn, closed, marker_size, stated
 
 STEP, INSTANTS = 1.0, 10    # s and samples of the responses that are compared
 SIGNED = 0.5                # of an input's largest value, that it takes with the other sign, too
+TIE = 1.03                  # times an error, that is no difference: of two such groups of turns the larger is used
 RIVALS = 20                 # specifications whose fits without copies are looked at, where the best does without
 LINEAR = [Specification(delays=delays, memory=("shift", delays)) for delays in (4, 2, 1)]
 FORMS = (Specification(features="configuration_affine", ridge=1e-2),
@@ -138,8 +139,8 @@ def _found(make, plain: Trial, G: np.ndarray, names: list[str]) -> Symmetric:
     inputs = np.concatenate([u for _, u in samples.controlled])
     least, most = np.maximum(-inputs.min(0), 0.0), np.maximum(inputs.max(0), 0.0)
     signed = np.minimum(least, most) > SIGNED * np.maximum(least, most)
-    turns = suggested(G, signed, samples.input_scale)
-    if not turns:
+    turns = [suggested(G, signed, samples.input_scale, inferred) for inferred in (False, True)]
+    if not any(turns):
         return Symmetric(plain, found="No symmetry was found: turns by 60°, 90°, 120° and 180° and reflections, with "
                                       f"the inputs renumbered, change the response to steps by {100 * NEAR:.0f} % or "
                                       "more.")
@@ -149,11 +150,13 @@ def _found(make, plain: Trial, G: np.ndarray, names: list[str]) -> Symmetric:
     form = min(plain.outcomes, key=lambda each: _value(plain, each))
     if not np.isfinite(_value(plain, form)):
         return Symmetric(plain, found="No symmetry was used: no model of the runs judges it.")
-    tried = [(make(closed(generators)), generators) for generators in groups(turns)]
-    trial, generators = min(tried, key=lambda each: _value(each[0], form))
+    tried = [(make(closed(generators)), generators) for each in turns for generators in groups(each)]
+    tied = min(_value(each, form) for each, _ in tried) + np.log(TIE)
+    trial, generators = max((each for each in tried if _value(each[0], form) <= tied),
+                            key=lambda each: (len(each[0].samples.turns), -_value(each[0], form)))
     before, after = (_error(each, form) for each in (plain, trial))
     words = _words(generators, G, names)
-    if not (_value(trial, form) < _value(plain, form) and after < before):
+    if not (_value(trial, form) < _value(plain, form) and after < TIE * before):
         return Symmetric(plain, found=f"No symmetry was used. {words}, but with runs turned so the error on stretches "
                                       f"held out is {after / before:.2f} times that without (score "
                                       f"{_value(trial, form):.3f}, without {_value(plain, form):.3f}).")

@@ -107,6 +107,14 @@ def test_a_linear_response_suggests_the_permutation_that_goes_with_every_rotatio
         np.testing.assert_array_equal(rotations[0].moved(), np.roll(np.arange(count), -1))
 
 
+def test_the_axis_of_a_robot_that_hangs_askew_in_the_frame_of_the_markers_is_inferred():
+    tilt = rotation(20, (0.6, 0.8, 0.0))
+    G = tilt @ np.array([[[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0], [0.3] * 4]])
+    askew = Turn(tilt @ quarter().outputs @ tilt.T, quarter().inputs)
+    plain, inferred = (suggested(G, np.zeros(4, bool), np.ones(4), inferred=each) for each in (False, True))
+    assert not any(turn.same(askew) for turn in plain) and any(turn.same(askew) for turn in inferred)
+
+
 def test_markers_change_places_where_the_robot_is_mirrored():
     left, right = [[1.0, 0.2], [0.5, 0.7]], [[-0.2, -1.0], [0.7, 0.5]]
     turns = suggested(np.array([[*left, *right]]), np.zeros(2, bool), np.ones(2))
