@@ -63,14 +63,15 @@ def compare(data: TrajectoryDataset, models: Iterable | Mapping | None = None, *
                 fitted[name], chosen[name] = _fitted(kind, name, data, trial, card, scored, noise, seed)
             except ValueError as error:
                 refused[name] = str(error)
-            if not isinstance(kind, TrainedModel):
-                cpu[name] = process_time() - began
+            known = (kind.card.get("cost") or {}).get("fit_time") if isinstance(kind, TrainedModel) else None
+            cpu[name] = known if isinstance(kind, TrainedModel) else process_time() - began
     if not fitted:
         raise ValueError("no model could be fitted; " + "; ".join(f"{name}: {why}" for name, why in refused.items()))
     found = compare_groups({name: each.reduced for name, each in fitted.items()}, tests, horizons=list(horizons),
                            starts=starts, seed=seed, outputs=outputs, noise=noise or None)
     reach = max(float(np.linalg.norm(run.read().observation[:, outputs], axis=1).max()) for run in tests)
-    return Comparison(fitted, found, reach, {name: words for name, words in chosen.items() if words}, refused, cpu)
+    return Comparison(fitted, found, reach, {name: words for name, words in chosen.items() if words}, refused,
+                      {name: seconds for name, seconds in cpu.items() if seconds})
 
 
 def _by_name(models: Iterable | Mapping) -> dict[str, object]:
