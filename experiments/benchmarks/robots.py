@@ -2,8 +2,8 @@
 
 Each robot is recorded for five minutes (excitation=five_minutes), or read from FOLDER/ROBOT/trajectories.h5 where that
 is, where a new recording is kept as well. The model that is chosen from the data and all baselines at their best are
-fitted by defaults and scored on the robot's test runs; FOLDER/ROBOT/comparison.md has all tables. What is printed is one
-table, worst robot first: by the chosen model's error over a second, in % of the largest displacement.
+fitted by defaults and scored on the robot's test runs; FOLDER/ROBOT/comparison.md has all tables. At the end stands one
+table, worst robot first, by the chosen model's error over a second, in % of the largest displacement.
 """
 
 from __future__ import annotations

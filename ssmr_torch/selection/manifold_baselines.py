@@ -102,8 +102,8 @@ class SubmanifoldForm(ManifoldForm):
 
 
 class ControlAugmentedForm(ManifoldForm):
-    """z = V [ŷ, û],  y = W z,  z⁺ = z + h R (z, u)^{1:2}, at most linear in u;  V: what of the past says most of the next
-    samples, a projection along the inputs that act meanwhile.
+    """z = V [ŷ, û],  y = W z,  z⁺ = z + h R (z, u)^{1:2}, at most linear in u;  V: what of the past says most of the
+    next samples, a projection along the inputs that act meanwhile.
     """
 
     further: dict = {}

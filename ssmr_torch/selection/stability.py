@@ -13,8 +13,8 @@ STRONGER, FASTER = (1.0, 1.5), (1, 2)
 
 
 def stays_bounded(model: PolynomialModel, samples: Samples) -> bool:
-    """Whether no rollout over a whole training run leaves `FARTHEST` times the range, with the inputs as recorded, twice
-    as fast, half as strong again, and both; and what the model does at rest decays.
+    """Whether no rollout over a whole training run leaves `FARTHEST` times the range, with the inputs as recorded,
+    twice as fast, half as strong again, and both; and what the model does at rest decays.
     """
     if not decays_at_rest(model):
         return False
