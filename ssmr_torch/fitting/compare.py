@@ -106,7 +106,8 @@ def _fitted(kind, name: str, data: TrajectoryDataset, trial: Trial | None, card:
     if kind in KINDS:
         choice = choose_baseline(trial, kind)
         return _trained(choice, name, data, trial, card), str(choice)
-    settings = {"fit.selection.noise": noise, "fit.selection.scored": scored} if kind == "auto" else {}
+    settings = {"fit.selection.noise": noise, "fit.selection.scored": scored,
+                "fit.selection.progress": False} if kind == "auto" else {}
     model = fit(data, kind, seed=seed, name=name, progress=False, **settings)
     said = [line for report in model.report.values() for line in report["warnings"]]
     return model, said[0] if said else ""
