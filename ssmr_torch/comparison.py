@@ -54,7 +54,7 @@ class Comparison:
         return max(_diverged(scores[name]) for scores in self.groups.values())
 
     def rows(self, group: str) -> list[list[str]]:
-        """Header, and a row per model: mean in mm with its mark by horizon, diverged share, % of the reach, CPU."""
+        """Header, and a row per model: mean in mm and mark by horizon, share that diverged, % of reach, CPU time."""
         scores = self.groups[group]
         parts = next(iter(scores.values())).horizons
         header = ["model", *(part.label for part in parts), "diverged", f"of reach, {parts[-1].label}", "fit (CPU)"]

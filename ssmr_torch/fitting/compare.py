@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from time import process_time
 
 import numpy as np
@@ -36,8 +37,9 @@ def compare(data: TrajectoryDataset, models: Iterable | Mapping | None = None, *
     part are chosen by the same rule on the same folds, see `choose_baseline`. Another kind ("neural_ode", "tpwl") is
     fitted as `fit` does. A `TrainedModel` is taken as it is; by name in a mapping.
     scored: names of the outputs that are to be predicted best, and that errors are of; None: all. noise: m, standard
-    deviation of the noise of the loop: "auto" is chosen for it, and all are scored a second time with it on the windows
-    that rollouts start from. horizons: s. starts: seeded samples per horizon over all test runs of a kind.
+    deviation of the noise of the loop: all are chosen for it, baselines by rollouts from windows that have it, and
+    scored a second time with it on the windows that rollouts start from. horizons: s. starts: seeded samples per
+    horizon over all test runs of a kind.
     progress: whether a line shows what is being fitted; None: yes.
 
     Returns a `Comparison`, which prints itself. A kind that the data cannot determine, or whose every form diverges, is
@@ -54,7 +56,7 @@ def compare(data: TrajectoryDataset, models: Iterable | Mapping | None = None, *
     outputs = data.columns(scored)
     card = data_card(data, tuple(training))
     fitted, chosen, refused, cpu = {}, {}, {}, {}  # by name
-    trial = _trial(training, data.timestep, outputs) if any(each in KINDS for each in asked.values()) else None
+    trial = _trial(training, data.timestep, outputs, noise) if any(each in KINDS for each in asked.values()) else None
     with tqdm(asked.items(), disable=progress is False, leave=False, delay=2.0, bar_format=LINE) as line:
         for name, kind in line:
             line.set_description_str(name)
@@ -63,14 +65,15 @@ def compare(data: TrajectoryDataset, models: Iterable | Mapping | None = None, *
                 fitted[name], chosen[name] = _fitted(kind, name, data, trial, card, scored, noise, seed)
             except ValueError as error:
                 refused[name] = str(error)
-            if not isinstance(kind, TrainedModel):
-                cpu[name] = process_time() - began
+            known = (kind.card.get("cost") or {}).get("fit_time") if isinstance(kind, TrainedModel) else None
+            cpu[name] = known if isinstance(kind, TrainedModel) else process_time() - began
     if not fitted:
         raise ValueError("no model could be fitted; " + "; ".join(f"{name}: {why}" for name, why in refused.items()))
     found = compare_groups({name: each.reduced for name, each in fitted.items()}, tests, horizons=list(horizons),
                            starts=starts, seed=seed, outputs=outputs, noise=noise or None)
     reach = max(float(np.linalg.norm(run.read().observation[:, outputs], axis=1).max()) for run in tests)
-    return Comparison(fitted, found, reach, {name: words for name, words in chosen.items() if words}, refused, cpu)
+    return Comparison(fitted, found, reach, {name: words for name, words in chosen.items() if words}, refused,
+                      {name: seconds for name, seconds in cpu.items() if seconds})
 
 
 def _by_name(models: Iterable | Mapping) -> dict[str, object]:
@@ -88,13 +91,18 @@ def _by_name(models: Iterable | Mapping) -> dict[str, object]:
     return asked
 
 
-def _trial(training: Sequence, timestep: float, outputs: Sequence[int]) -> Trial:
-    """The folds that baselines are tried on: those of "auto"."""
+def _trial(training: Sequence, timestep: float, outputs: Sequence[int], noise: float) -> Trial:
+    """The folds that baselines are tried on: those of "auto", with the noise of the loop on windows of rollouts."""
     runs = [run.read() for run in training]
     decays, controlled = ([(run.observation, run.input) for run in runs if (run.kind == "decay") == decay]
                           for decay in (True, False))
     coordinates = offered(np.concatenate([run.observation for run in runs]))
-    return Trial(Samples(decays, controlled, timestep, coordinates=coordinates, targets=outputs))
+    trial = Trial(Samples(decays, controlled, timestep, coordinates=coordinates, targets=outputs))
+    if noise:
+        rng = np.random.default_rng(0)
+        *trial.held_out, trial.fast = (replace(each, window=each.window + rng.normal(0.0, noise, each.window.shape))
+                                       for each in (*trial.held_out, trial.fast))
+    return trial
 
 
 def _fitted(kind, name: str, data: TrajectoryDataset, trial: Trial | None, card: dict, scored, noise: float,
@@ -105,7 +113,8 @@ def _fitted(kind, name: str, data: TrajectoryDataset, trial: Trial | None, card:
     if kind in KINDS:
         choice = choose_baseline(trial, kind)
         return _trained(choice, name, data, trial, card), str(choice)
-    settings = {"fit.selection.noise": noise, "fit.selection.scored": scored} if kind == "auto" else {}
+    settings = {"fit.selection.noise": noise, "fit.selection.scored": scored,
+                "fit.selection.progress": False} if kind == "auto" else {}
     model = fit(data, kind, seed=seed, name=name, progress=False, **settings)
     said = [line for report in model.report.values() for line in report["found"] or report["warnings"]]
     return model, said[0] if said else ""
