@@ -54,10 +54,10 @@ class ClosedForm:
         if chosen.states > (d + 1) * p:
             raise ValueError(f"{chosen.states} states of windows with {(d + 1) * p} values")
         if chosen.chart == "tangent_space":
-            decays = past_of(samples, chosen.coordinates, d, self.rows[samples.is_decay[self.rows]])
-            if not len(decays):
+            of_decays = self.rows[samples.is_decay[self.rows]]
+            if not len(of_decays):
                 raise ValueError("no decays, whose tangent space is asked for")
-            past = self.pasts[0]
+            decays, past = past_of(samples, chosen.coordinates, d, of_decays), self.pasts[0]
             chart = tangent_chart(decays.T @ decays / len(decays), past.T @ past / len(past), window, newest,
                                   chosen.states)
             return [chart] * (FOLDS + 1)

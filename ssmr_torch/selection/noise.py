@@ -12,7 +12,8 @@ from ssmr_torch.selection.least_squares import Moments
 from ssmr_torch.selection.samples import Samples
 from ssmr_torch.selection.windows import longer_window
 
-STRETCH = 25        # samples in which the noise is looked for, where the robot moves least
+STRETCH = 25        # samples at least in which the noise is looked for, where the robot moves least
+STRETCHES = 8       # of a run at most: the quietest of many short ones is quieter than the noise, by chance
 RIDGE = 1e-10
 
 
@@ -24,7 +25,7 @@ def measured_noise(runs: Sequence[np.ndarray]) -> float:
     found = []
     for y in runs:
         differences = np.diff(y, 3, axis=0) / np.sqrt(20.0)
-        stretch = max(10, min(STRETCH, len(differences) // 4))
+        stretch = max(10, min(STRETCH, len(differences) // 4), len(differences) // STRETCHES)
         pieces = [np.sqrt(np.mean(differences[a:a + stretch] ** 2))
                   for a in range(0, len(differences) - stretch + 1, stretch)]
         found += [min(pieces)] if pieces else []

@@ -81,7 +81,7 @@ class Samples:
         self._latent: dict[str, np.ndarray] = {}
 
     def _pieces(self):
-        length = max(1, round(PIECE / self.timestep))
+        length = max(round(PIECE / self.timestep), 2 * self.past)  # longer than what a row sees, however slow
         for run in range(len(self.decays), len(self.decays) + len(self.controlled)):
             ends = np.linspace(0, self.lengths[run], max(1, int(self.lengths[run]) // length) + 1).astype(int)
             yield from zip(self.first[run] + ends[:-1], self.first[run] + ends[1:])
