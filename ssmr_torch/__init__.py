@@ -7,7 +7,7 @@ Plant ─collect→ Trajectories ─fit→ Model ─export→ Artifact ─→ Co
     data = ssmr.read("robot.yaml")                 # recordings by a card; ssmr.load("trajectories.h5"); or from arrays:
     data = ssmr.trajectories(decays=[(t, y, u), …], controlled=[(t, y, u), …], test=[(t, y, u)])
     print(ssmr.check(data))                        # what the recordings lack, before any fit
-    model = ssmr.fit(data, "ssmr", state_dim=6)    # a TrainedModel
+    model = ssmr.fit(data)                         # a TrainedModel, chosen from the data; ssmr.fit(data, "ssmr"), …
     print(ssmr.score(model, data))                 # horizons × (model, persistence, constant velocity)
     print(ssmr.compare(data))                      # the chosen model and all baselines at their best
     outputs = model.predict(window, inputs)
