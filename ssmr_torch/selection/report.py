@@ -37,8 +37,9 @@ def sentences(found: dict) -> list[str]:
              "this exceeds the error, more recordings would help more than another model."]
     close = [name for name, score in found["rivals"] if score - found["single"] < np.log(1.1)]
     if close:
-        lines.append(f"The data do not decide between this and {len(close)} {'other' if len(close) == 1 else 'others'}, whose "
-                     "score is within 10 %: " + "; ".join(close) + ".")
+        others = "another" if len(close) == 1 else f"{len(close)} others"
+        lines.append(f"The data do not decide between this and {others}, whose score is within 10 %: "
+                     + "; ".join(close) + ".")
     if len(found["coordinates"]) > 1:
         lines.append(f"Output coordinates to choose from: {', '.join(found['coordinates'])}.")
     lines.append(f"White noise of the measurement: about {1e3 * found['noise']:.2g} mm.")
