@@ -114,17 +114,14 @@ class PolynomialModel(Model):
     @property
     def geometry(self) -> str:
         rows, n, degree = len(self.parametrization), self.state_dim, self.structure.parametrization.highest
-        seen = super().geometry
-        if self.coordinates is not None:
-            seen += f"; in output coordinates: {self.coordinates.words}"
+        seen = super().geometry + (f"; in output coordinates: {self.coordinates.words}" if self.coordinates else "")
         if rows == self.latent_dim:
             return seen
         if rows == n:
             shape = f"p = n = {n}: the parametrization is linear, all nonlinearity sits in the dynamics"
-        elif degree == 1:
-            shape = f"p = {rows} > n = {n}, parametrization of degree 1: a flat manifold"
         else:
-            shape = f"p = {rows} > n = {n}, parametrization of degree {degree}: a curved manifold"
+            bend = "flat" if degree == 1 else "curved"
+            shape = f"p = {rows} > n = {n}, parametrization of degree {degree}: a {bend} manifold"
         return f"{seen}; {shape}"
 
     @cached_property
@@ -162,16 +159,15 @@ class PolynomialModel(Model):
     @cached_property
     def edge(self) -> Array:
         """Of the range within which nothing saturates, (n,)."""
-        xp = namespace(self.state_scale)
-        edge = xp.where(self.state_scale > 0, self.reach * self.state_scale, np.inf)
-        return edge if self.structure.saturated else xp.zeros_like(edge) + np.inf
+        bounded = (self.state_scale > 0) & self.structure.saturated
+        return namespace(self.state_scale).where(bounded, self.reach * self.state_scale, np.inf)
 
     @cached_property
     def linear_part(self) -> Array:
         """∂f/∂z at rest, (·, n): the columns of the dynamics that multiply z alone."""
         needed, slopes = self.dynamics_form.slopes(0, self.state_dim)
-        constant = slopes[:, np.flatnonzero(needed == 0)]  # one column, or none where nothing is linear in z
-        return constant.sum(-1).reshape(len(self.dynamics), self.state_dim)
+        constant = slopes[:, np.flatnonzero(needed == 0)].sum(-1)  # of one column, or none where nothing is linear in z
+        return constant.reshape(len(self.dynamics), self.state_dim)
 
     def encode(self, window: Array, inputs: Array | None = None) -> Array:
         regressors = self.chart_regressors(window, inputs)
@@ -232,12 +228,9 @@ class PolynomialModel(Model):
 
     def dynamics_rows(self, z: Array, u: Array) -> tuple[Array, Array, Array]:
         """f (·, M), `dynamics_regressors` (q, M) and ∂f/∂z (M, ·, n), at many points z (n, M), u (m, M) at once."""
-        xp, monomials, slopes = namespace(z), self.structure.dynamics, None
-        joint = xp.concatenate([z, u], 0)
-        if self.structure.saturated:
-            within, slopes = self.joint(z.T, u.T)
-            joint = within.T
-        closure = monomials.rows(joint)
+        xp, monomials = namespace(z), self.structure.dynamics
+        joint, slopes = self.joint(z.T, u.T) if self.structure.saturated else (xp.concatenate([z, u], 0).T, None)
+        closure = monomials.rows(joint.T)
         regressors = monomials.chosen_rows(closure)
         if slopes is not None:
             regressors = xp.concatenate([regressors, z], 0)[on_device(z, self._beyond_linear)]
