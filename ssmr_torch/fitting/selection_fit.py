@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from tqdm import tqdm
 
-from ssmr_torch.data.refusals import check_learnable
+from ssmr_torch.data.refusals import check_learnable, refuse_still_inputs
 from ssmr_torch.data.windows import Segment
 from ssmr_torch.fitting.exact import ExactSolve
 from ssmr_torch.fitting.fit import ModelFit
@@ -45,7 +45,11 @@ class SelectionFit(ModelFit):
     def on_train_start(self) -> None:
         if self.trainer.world_size > 1:
             raise ValueError(f"{self.trainer.world_size} processes; a selection runs in one (trainer.devices=1)")
-        check_learnable(self.trainer.datamodule.dataset)
+        dataset = self.trainer.datamodule.dataset
+        check_learnable(dataset)
+        driven = [run for run in self.trainer.datamodule.training if run.kind != "decay"]
+        if driven:
+            refuse_still_inputs(dataset, [run.extremes() for run in driven])  # though decays may have another level
 
     @torch.no_grad()
     def training_step(self, segment: Segment, index: int) -> None:
