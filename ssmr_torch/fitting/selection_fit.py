@@ -11,6 +11,7 @@ from ssmr_torch.fitting.exact import ExactSolve
 from ssmr_torch.fitting.fit import ModelFit
 from ssmr_torch.keywords import configurable
 from ssmr_torch.models.slow_fast import SlowFast
+from ssmr_torch.periods import whole_multiple
 from ssmr_torch.selection.choice import Choice, choose
 from ssmr_torch.selection.settings import SelectionSettings
 
@@ -61,7 +62,7 @@ class SelectionFit(ModelFit):
         strange = [name for name in scored or () if name not in names]
         if strange:
             raise ValueError(f"scored names {strange}, which are no outputs; there are {names}")
-        decays, controlled = ([(run.observation, run.input) for run in runs if (run.kind == "decay") == decay]
+        decays, controlled = ([self._coarser(run) for run in runs if (run.kind == "decay") == decay]
                               for decay in (True, False))
         if not controlled:
             raise ValueError("no controlled runs to learn from; record some, under inputs like those of the use")
@@ -77,6 +78,14 @@ class SelectionFit(ModelFit):
         self.found, self.facts = self.choice.sentences, self.choice.facts
         self.log_dict({"fit/tried": float(self.facts["tried"]), "fit/members": float(len(self.facts["members"]))})
         self.optimizers().step()
+
+    def _coarser(self, run) -> tuple:
+        """Outputs and inputs of a run every timestep of the model; of inputs that change meanwhile, their mean."""
+        dt = self.trainer.datamodule.dataset.timestep
+        stride = whole_multiple("the model's timestep", self.model.timestep, "the sampling time of the recordings", dt,
+                                "give a multiple of it, or leave timestep out")
+        steps = run.length // stride
+        return run.observation[::stride][:steps], run.input[:steps * stride].reshape(steps, stride, -1).mean(axis=1)
 
     def on_load_checkpoint(self, checkpoint: dict) -> None:
         again = SlowFast(**checkpoint["model"]["arguments"])
