@@ -3,6 +3,7 @@
 import re
 import warnings
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -40,17 +41,17 @@ def recorded(decays=2, runs=3, seconds=6.0, change=lambda run: run, **more):
             "controlled": of[:-1], "test": of[-1:], "units": {"length": "mm", "input": "1"}}
 
 
+def among_few(began, trial, *, decays, minutes=0.0, say=lambda line: None):
+    began.append(trial)
+    for each in FORMS:
+        trial(each if decays else replace(each, decays=False))
+
+
 @pytest.fixture
 def few(monkeypatch):
-    """A selection among a few forms, which takes a second, and how often it began."""
+    """A selection among a few forms, which takes a second, and the trials that began."""
     began = []
-
-    def search(trial, *, decays, minutes=0.0, say=lambda line: None):
-        began.append(trial)
-        for each in FORMS:
-            trial(each if decays else replace(each, decays=False))
-
-    monkeypatch.setattr("ssmr_torch.selection.choice.search", search)
+    monkeypatch.setattr("ssmr_torch.selection.choice.search", partial(among_few, began))
     return began
 
 
@@ -63,6 +64,14 @@ def fitted(data, **options):
     return ssmr.fit(data, progress=False, **{"symmetry": "none", "refine": False} | options)
 
 
+@pytest.fixture(scope="module")
+def model(data):
+    """One of few forms, for tests of what is done with it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ssmr_torch.selection.choice.search", partial(among_few, []))
+        return fitted(data)
+
+
 def start(model, data, horizon=40, at=30):
     run = data.select("test")[0]
     window = run.observation[at - model.delays:at + 1]
@@ -70,9 +79,8 @@ def start(model, data, horizon=40, at=30):
             run.observation[at + 1:at + 1 + horizon])
 
 
-def test_without_a_kind_a_slow_fast_model_is_chosen_and_predicts_new_runs(few, data):
-    model = fitted(data)
-    assert isinstance(model.module, SlowFast) and model.name == "AUTO" and len(few) == 1
+def test_without_a_kind_a_slow_fast_model_is_chosen_and_predicts_new_runs(model, data):
+    assert isinstance(model.module, SlowFast) and model.name == "AUTO"
     window, inputs, past, measured = start(model, data)
     assert np.abs(model.predict(window, inputs, past) - measured).max() < 0.05 * np.ptp(measured, axis=0).max()
     said = " ".join(model.report["selection"]["found"])
@@ -97,8 +105,7 @@ def test_silence_is_kept_and_a_notebooks_random_numbers_are_left_alone(few, data
     assert not said.out and not said.err and (np.random.get_state()[1] == before).all()
 
 
-def test_an_artifact_of_a_chosen_model_predicts_the_same(few, data, tmp_path):
-    model = fitted(data)
+def test_an_artifact_of_a_chosen_model_predicts_the_same(model, data, tmp_path):
     model.save(tmp_path / "artifact")
     again = ssmr.load(tmp_path / "artifact")
     window, inputs, past, _ = start(model, data)
@@ -118,12 +125,11 @@ def test_a_checkpoint_of_a_chosen_model_holds_its_structure(few, data, tmp_path)
     assert one.structure.plain() == other.structure.plain() and one.reach == other.reach
 
 
-def test_the_c_code_of_a_chosen_model_computes_the_same(few, data, tmp_path):
+def test_the_c_code_of_a_chosen_model_computes_the_same(model, data, tmp_path):
     from ssmr_torch.deployment.c_library import CLibrary, compile_library, compiler
 
     if compiler() is None:
         pytest.skip("no C compiler")
-    model = fitted(data, team=1)
     model.export(tmp_path / "artifact", "c")
     [source] = (tmp_path / "artifact" / "deployed").rglob("*.c")
     compile_library(source, tmp_path / "model.so")
@@ -135,10 +141,10 @@ def test_the_c_code_of_a_chosen_model_computes_the_same(few, data, tmp_path):
                                atol=1e-12 * np.abs(z).max())
 
 
-def test_a_model_for_control_is_one_and_a_team_is_as_large_as_allowed(few, data):
+def test_a_model_for_control_is_one_and_a_team_is_as_large_as_allowed(few, model, data):
     assert len(fitted(data, purpose="control").report["selection"]["facts"]["members"]) == 1
     assert len(fitted(data, team=1).report["selection"]["facts"]["members"]) == 1
-    assert 1 <= len(fitted(data).report["selection"]["facts"]["members"]) <= 4
+    assert 1 < len(model.report["selection"]["facts"]["members"]) <= 4
 
 
 def test_outputs_that_are_scored_are_those_of_the_trial(few, data):
@@ -146,14 +152,14 @@ def test_outputs_that_are_scored_are_those_of_the_trial(few, data):
     assert few[0].samples.targets == [2]
 
 
-def test_a_stated_noise_gives_a_chart_that_takes_it(few, data):
-    plain, filtered = fitted(data), fitted(data, noise=2e-4)
+def test_a_stated_noise_gives_a_chart_that_takes_it(few, model, data):
+    filtered = fitted(data, noise=2e-4)
     window, inputs, past, measured = start(filtered, data)
     errors, rng = [], np.random.default_rng(0)
-    for model in (plain, filtered):
+    for each in (model, filtered):
         warnings.simplefilter("ignore", OutsideTraining)
-        noisy = [model.predict(window[-model.delays - 1:] + 2e-4 * rng.normal(size=(model.delays + 1, 3)), inputs,
-                               past[len(past) - model.delays:]) for _ in range(30)]
+        noisy = [each.predict(window[-each.delays - 1:] + 2e-4 * rng.normal(size=(each.delays + 1, 3)), inputs,
+                              past[len(past) - each.delays:]) for _ in range(30)]
         errors.append(np.sqrt(np.square(np.array(noisy) - measured).mean()))
     assert errors[1] < 0.8 * errors[0]
 
@@ -203,7 +209,7 @@ def alike(run):
     ({"change": copied, "decays": 0}, "output y3 is a copy of y1.*leave it out"),
     ({"change": holed}, "NaN|not finite|missing"),
     ({"change": alike, "decays": 0}, "all 3 runs have the same contents; record runs that differ"),
-    ({"change": two_samples, "decays": 0}, "has 2 samples; at least 8 are needed.*record runs of seconds"),
+    ({"change": two_samples, "decays": 0}, "has 2 samples; a start needs 20 before and 50 after it.*longer runs"),
 ])
 def test_recordings_that_teach_nothing_are_refused_with_the_remedy(few, given, says):
     with pytest.raises(ValueError, match=says):
@@ -230,12 +236,29 @@ def test_decays_alone_are_refused(few):
                                    {"inputs": 1}], ids=str)
 def test_few_data_other_samplings_and_other_sizes_are_fitted(few, given):
     data = ssmr.trajectories(**recorded(**given))
-    model = fitted(data, symmetry="find", refine=True)
+    model = fitted(data)
     window, inputs, past, measured = start(model, data, horizon=20)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", OutsideTraining)
         found = model.predict(window, inputs, past)
     assert np.abs(found - measured).max() < 0.5 * np.ptp(data.select("test")[0].observation, axis=0).max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("given", [{"runs": 4, "seconds": 4.0}, {"timestep": 0.002, "seconds": 3.0}, {"outputs": 2}],
+                         ids=str)
+def test_with_symmetries_and_refinement_they_are_fitted_too(few, given):
+    data = ssmr.trajectories(**recorded(**given))
+    model = fitted(data, symmetry="find", refine=True)
+    assert model.scores["test/rmse"] < 0.5 * model.scores["test/rmse_persistence"]
+
+
+@pytest.mark.slow
+def test_the_whole_selection_beats_persistence_and_finds_the_same_again(data):
+    one, two = (ssmr.fit(data, progress=False) for _ in range(2))
+    assert one.report["selection"]["facts"]["members"] == two.report["selection"]["facts"]["members"]
+    assert all((one.module.state_dict()[name] == value).all() for name, value in two.module.state_dict().items())
+    assert one.scores["test/rmse"] < 0.05 * one.scores["test/rmse_persistence"]
 
 
 @pytest.mark.parametrize("seconds", [0.3, 0.5, 0.8])
@@ -252,14 +275,24 @@ def test_test_runs_that_are_too_short_to_score_are_refused_before_any_search(few
     assert not few
 
 
-def test_a_timestep_that_is_not_the_recordings_is_refused(few, data):
-    with pytest.raises(ValueError, match="timestep"):
-        fitted(data, timestep=0.04)
+def test_a_coarser_timestep_sees_every_second_sample(few, data):
+    model = fitted(data, timestep=0.04)
+    assert model.timestep == model.window_timestep == 0.04 and len(few[0].samples.controlled[0][0]) == 150
+    run, at = data.select("test")[0], 60
+    u = run.input[:300].reshape(150, 2, 2).mean(axis=1)
+    window = run.observation[at - 2 * model.delays:at + 1:2]
+    z = model.reduced.encode(window, u[at // 2 - model.delays:at // 2])
+    z = model.reduced.step(z, u[at // 2])
+    assert np.abs(model.reduced.decode(z) - run.observation[at + 2]).max() < 0.02 * np.ptp(run.observation)
+
+
+def test_a_timestep_that_is_no_multiple_of_the_recordings_is_refused(few, data):
+    with pytest.raises(ValueError, match="whole multiple|multiple of it"):
+        fitted(data, timestep=0.03)
     assert not few
 
 
-def test_what_leaves_the_training_is_said_once_a_call(few, data):
-    model = fitted(data)
+def test_what_leaves_the_training_is_said_once_a_call(model, data):
     window, inputs, past, _ = start(model, data, horizon=20)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
