@@ -144,7 +144,7 @@ def test_every_sweep_searches_settings_that_its_model_has_by_validation_and_with
 
 
 def test_every_model_can_be_tuned():
-    assert set(group("sweep")) == {*group("model"), "optuna"} - {"auto"}  # which needs no search
+    assert set(group("sweep")) == {*group("model"), "optuna"} - {"auto"}  # which chooses for itself
 
 
 @pytest.mark.parametrize("tuning", group("tuning"))

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
-from ssmr_torch.models.batch_rollout import batch_of
+from ssmr_torch.models.batch_rollout import BatchRollout, batch_of
+
+FEW = 4000  # steps of all rollouts, which take less time than loading what is compiled
 
 
 @dataclass(frozen=True)
@@ -31,13 +34,14 @@ class Predictor:
 
 
 def model_predictor(model) -> Predictor:
-    """A `Model`, or what has one as its `reduced`, in NumPy, compiled where its family is; samples from
+    """A `Model`, or what has one as its `reduced`, in NumPy, for many steps compiled where its family is; samples from
     `diverged_at` on are infinite.
     """
-    batch = batch_of(model)
-    reduced = batch.model
+    plain = BatchRollout(model)
+    reduced, compiled = plain.model, cache(lambda: batch_of(model))
 
     def predict(window, window_inputs, inputs):
+        batch = plain if len(inputs) * inputs.shape[1] < FEW else compiled()
         with np.errstate(over="ignore", invalid="ignore"):
             return batch.outputs(reduced.encode(window, window_inputs), inputs)
 

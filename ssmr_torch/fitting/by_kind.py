@@ -57,8 +57,9 @@ def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name
         _check_choice(group, choice, group, config_dir)
     config = configuration.composed("train", [f"model={chosen}", "logger=csv", f"seed={seed}", *(
         f"{group}={choice}" for group, choice in groups.items())], config_dir=config_dir)
-    given = {"name": name or chosen.upper()}
     plain = configuration.plain(config, without=("data", "logger", "name"))
+    given = {"name": name or chosen.upper()} | {f"fit.{step}.progress": False for step, node in plain["fit"].items()
+                                                if progress is False and "progress" in node}
     given |= {key: _plain(value) for key, value in dotted(options, plain).items()}
     config = configuration.changed(config, given)
     if progress is not False and said:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import torch
 from tqdm import tqdm
 
-from ssmr_torch.data.refusals import check_learnable
+from ssmr_torch.data.refusals import check_learnable, refuse_still_inputs
 from ssmr_torch.data.windows import Segment
 from ssmr_torch.fitting.exact import ExactSolve
 from ssmr_torch.fitting.fit import ModelFit
 from ssmr_torch.keywords import configurable
 from ssmr_torch.models.slow_fast import SlowFast
+from ssmr_torch.periods import whole_multiple
 from ssmr_torch.selection.choice import Choice, choose
 from ssmr_torch.selection.settings import SelectionSettings
 
@@ -45,7 +46,11 @@ class SelectionFit(ModelFit):
     def on_train_start(self) -> None:
         if self.trainer.world_size > 1:
             raise ValueError(f"{self.trainer.world_size} processes; a selection runs in one (trainer.devices=1)")
-        check_learnable(self.trainer.datamodule.dataset)
+        dataset = self.trainer.datamodule.dataset
+        check_learnable(dataset)
+        driven = [run for run in self.trainer.datamodule.training if run.kind != "decay"]
+        if driven:
+            refuse_still_inputs(dataset, [run.extremes() for run in driven])  # though decays may have another level
 
     @torch.no_grad()
     def training_step(self, segment: Segment, index: int) -> None:
@@ -57,8 +62,7 @@ class SelectionFit(ModelFit):
         strange = [name for name in scored or () if name not in names]
         if strange:
             raise ValueError(f"scored names {strange}, which are no outputs; there are {names}")
-        stride = self.trainer.datamodule.sampling
-        decays, controlled = ([_sampled(run, stride) for run in runs if (run.kind == "decay") == decay]
+        decays, controlled = ([self._coarser(run) for run in runs if (run.kind == "decay") == decay]
                               for decay in (True, False))
         if not controlled:
             raise ValueError("no controlled runs to learn from; record some, under inputs like those of the use")
@@ -75,17 +79,18 @@ class SelectionFit(ModelFit):
         self.log_dict({"fit/tried": float(self.facts["tried"]), "fit/members": float(len(self.facts["members"]))})
         self.optimizers().step()
 
+    def _coarser(self, run) -> tuple:
+        """Outputs and inputs of a run every timestep of the model; of inputs that change meanwhile, their mean."""
+        dt = self.trainer.datamodule.dataset.timestep
+        stride = whole_multiple("the model's timestep", self.model.timestep, "the sampling time of the recordings", dt,
+                                "give a multiple of it, or leave timestep out")
+        steps = run.length // stride
+        return run.observation[::stride][:steps], run.input[:steps * stride].reshape(steps, stride, -1).mean(axis=1)
+
     def on_load_checkpoint(self, checkpoint: dict) -> None:
         again = SlowFast(**checkpoint["model"]["arguments"])
         with torch.no_grad():
             self.model.take(again.reduced.numpy())
-
-
-def _sampled(run, stride: int) -> tuple:
-    """Every `stride`-th observation of a run, and the mean of the inputs held until the next one."""
-    steps = run.length // stride
-    return (run.observation[:steps * stride:stride],
-            run.input[:steps * stride].reshape(steps, stride, -1).mean(axis=1))
 
 
 class _WholeRuns:

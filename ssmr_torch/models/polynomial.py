@@ -155,16 +155,15 @@ class PolynomialModel(Model):
     @cached_property
     def edge(self) -> Array:
         """Of the range within which nothing saturates, (n,)."""
-        xp = namespace(self.state_scale)
-        edge = xp.where(self.state_scale > 0, self.reach * self.state_scale, np.inf)
-        return edge if self.structure.saturated else xp.zeros_like(edge) + np.inf
+        bounded = (self.state_scale > 0) & self.structure.saturated
+        return namespace(self.state_scale).where(bounded, self.reach * self.state_scale, np.inf)
 
     @cached_property
     def linear_part(self) -> Array:
         """∂f/∂z at rest, (·, n): the columns of the dynamics that multiply z alone."""
         needed, slopes = self.dynamics_form.slopes(0, self.state_dim)
-        constant = slopes[:, np.flatnonzero(needed == 0)]  # one column, or none where nothing is linear in z
-        return constant.sum(-1).reshape(len(self.dynamics), self.state_dim)
+        constant = slopes[:, np.flatnonzero(needed == 0)].sum(-1)  # of one column, or none where nothing is linear in z
+        return constant.reshape(len(self.dynamics), self.state_dim)
 
     def encode(self, window: Array, inputs: Array | None = None) -> Array:
         regressors = self.chart_regressors(window, inputs)
@@ -225,12 +224,9 @@ class PolynomialModel(Model):
 
     def dynamics_rows(self, z: Array, u: Array) -> tuple[Array, Array, Array]:
         """f (·, M), `dynamics_regressors` (q, M) and ∂f/∂z (M, ·, n), at many points z (n, M), u (m, M) at once."""
-        xp, monomials, slopes = namespace(z), self.structure.dynamics, None
-        joint = xp.concatenate([z, u], 0)
-        if self.structure.saturated:
-            within, slopes = self.joint(z.T, u.T)
-            joint = within.T
-        closure = monomials.rows(joint)
+        xp, monomials = namespace(z), self.structure.dynamics
+        joint, slopes = self.joint(z.T, u.T) if self.structure.saturated else (xp.concatenate([z, u], 0).T, None)
+        closure = monomials.rows(joint.T)
         regressors = monomials.chosen_rows(closure)
         if slopes is not None:
             regressors = xp.concatenate([regressors, z], 0)[on_device(z, self._beyond_linear)]

@@ -8,7 +8,7 @@ from ssmr_torch.models.monomials import Monomials
 from ssmr_torch.models.output_coordinates import coordinates_from_plain
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.structure import Structure
-from ssmr_torch.models.torch_model import PolynomialTorchModel, table
+from ssmr_torch.models.torch_model import PolynomialTorchModel, TorchModel, table
 
 
 class SlowFast(PolynomialTorchModel):
@@ -26,7 +26,7 @@ class SlowFast(PolynomialTorchModel):
     window_scale (·,).
     """
 
-    given = (*PolynomialTorchModel.given, "structure", "coordinates", "reach")
+    given = (*TorchModel.given, "structure", "coordinates", "reach")
     tables = {"chart": ("chart",), "parametrization": ("parametrization",), "dynamics": ("dynamics_table",)}
 
     def __init__(self, input_dim: int, output_dim: int, delays: int = 20, *, structure: dict | None = None,

@@ -51,6 +51,11 @@ class Trial:
         self.horizons = list(range(len(samples.horizons))) if horizons is None else list(horizons)
         self.held_out = [samples.held_out(fold) for fold in range(FOLDS)]
         self.fast = samples.hurried()
+        if sum(len(starts) > 0 for starts in self.held_out) < 2 or not len(self.fast):
+            seconds = ", ".join(f"{len(y) * samples.timestep:.3g}" for y, _ in samples.controlled[:5])
+            raise ValueError(f"controlled training runs of {seconds} s give no two stretches to hold out in turn, each "
+                             f"with a window of {samples.past + 1} samples before what is predicted; record more runs, "
+                             f"or longer ones than {2 * samples.past * samples.timestep:.3g} s")
         self.outcomes: dict[Specification, Outcome] = {}
         self._closed: tuple[tuple, ClosedForm] | None = None
         self._whole: Samples | None = None
@@ -119,6 +124,8 @@ class Trial:
 
     def predicted(self, model: PolynomialModel, starts: Starts) -> np.ndarray:
         """Targets along the horizon, scaled, (N, H, targets); what diverged is far away."""
+        if not len(starts):
+            return starts.follows[..., self.samples.targets].astype(np.float32)
         found = rolled_out(model, starts)[..., self.samples.targets] / self.samples.scale
         return np.nan_to_num(found, nan=1e3, posinf=1e3, neginf=-1e3).astype(np.float32)
 

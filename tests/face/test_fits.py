@@ -45,11 +45,6 @@ def test_a_directory_keeps_what_the_command_keeps(data, tmp_path):
     assert (tmp_path / "run" / "model.ckpt").is_file() and (tmp_path / "run" / "checkpoints" / "closed_form").is_dir()
 
 
-def test_without_a_kind_it_is_said_which_was_taken(data, capsys):
-    model = ssmr.fit(data, state_dim=4)
-    assert 'fitting "ssmr"' in capsys.readouterr().out and model.name == "SSMR"
-
-
 @pytest.mark.parametrize(("kind", "options", "error", "message"), [
     ("smr", {}, ValueError, "no kind of model 'smr'; did you mean 'ssmr'"),
     ("ssmr", {"derivative": "gausian"}, ValueError, "no derivative 'gausian'; did you mean 'gaussian'"),
