@@ -11,6 +11,7 @@ import pytest
 import ssmr_torch as ssmr
 from ssmr_torch.models.slow_fast import SlowFast
 from ssmr_torch.selection.specification import Specification
+from ssmr_torch.selection.team import choose_team
 from ssmr_torch.trained_model import OutsideTraining
 
 FORMS = (Specification(memory=("shift", 1)), Specification(features="configuration_affine", ridge=1e-6),
@@ -141,10 +142,17 @@ def test_the_c_code_of_a_chosen_model_computes_the_same(model, data, tmp_path):
                                atol=1e-12 * np.abs(z).max())
 
 
-def test_a_model_for_control_is_one_and_a_team_is_as_large_as_allowed(few, model, data):
-    assert len(fitted(data, purpose="control").report["selection"]["facts"]["members"]) == 1
-    assert len(fitted(data, team=1).report["selection"]["facts"]["members"]) == 1
-    assert 1 < len(model.report["selection"]["facts"]["members"]) <= 4
+def test_a_model_for_control_is_one_and_a_team_is_as_large_as_allowed(few, data, monkeypatch):
+    asked = []
+
+    def noted(trial, pool, largest):
+        asked.append(largest)
+        return choose_team(trial, pool, largest)
+
+    monkeypatch.setattr("ssmr_torch.selection.choice.choose_team", noted)
+    sizes = [len(fitted(data, **options).report["selection"]["facts"]["members"])
+             for options in ({}, {"team": 2}, {"purpose": "control"})]
+    assert asked == [4, 2, 1] and sizes[2] == 1 and all(size <= most for size, most in zip(sizes, asked))
 
 
 def test_outputs_that_are_scored_are_those_of_the_trial(few, data):
