@@ -24,7 +24,7 @@ from ssmr_torch.selection.trial import Outcome, Trial
 from ssmr_torch.turns import Turn
 
 POOL = 12      # of the best stable specifications, from which a team is chosen
-RECONSIDERED = 24  # of the best, judged once more by all starts and more rows
+RECONSIDERED = 40  # of the best, judged once more by all starts and more rows
 SCOUTING = 0.6     # of the CPU time, for trying them out
 ROUND_TRIP = 1e-6  # of the outputs' size, by which χ⁻¹(χ(y)) may miss y
 

@@ -15,7 +15,7 @@ PIECE = 3.0            # s, of a piece that one fold holds out
 HORIZONS = (0.05, 0.2, 1.0)
 PAST = 20              # samples before a start that any candidate may look at
 STARTS, FAST_STARTS = 120, 80
-SCOUTED = 2000         # rows of controlled runs, and a third of the starts, while most specifications are tried
+SCOUTED = 4000         # rows of controlled runs, and 60 % of the starts, while most specifications are tried
 FITTED = 150           # starts of rollouts that a model is fitted to
 MOST = 6000            # rows of controlled runs while specifications are compared
 LEAST = 2000           # rows of decays that are kept however few the controlled ones are
@@ -57,7 +57,7 @@ class Samples:
                  coordinates: Mapping[str, OutputCoordinates | None], targets: Sequence[int], past: int = PAST,
                  most: int = MOST, turns: Sequence[Turn] = ()):
         self.timestep, self.past, self.targets, self.most = float(timestep), past, list(targets), most
-        self.starts_share = 1.0 if most >= MOST else 1.0 / 3.0
+        self.starts_share = 1.0 if most >= MOST else 0.6
         self.turns = tuple(turns)
         self.coordinates = dict(coordinates)
         self.decays, self.controlled = list(decays), list(controlled)
