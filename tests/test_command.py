@@ -86,7 +86,7 @@ def test_a_key_that_must_be_given_is_named_in_one_sentence(arguments, key, tmp_p
 
 def test_help_of_a_command_is_hydras():
     text = ssmr("train", "--help").stdout
-    assert "== Configuration groups ==" in text and "model: dmd, edmd" in text
+    assert "== Configuration groups ==" in text and "model: auto, dmd, edmd" in text
 
 
 @pytest.mark.parametrize("name", command.COMMANDS)
