@@ -67,6 +67,7 @@ def test_data_without_test_runs_are_refused(data):
         ssmr.compare(training, ["dmd"])
 
 
+@pytest.mark.slow
 def test_the_command_writes_tables_a_figure_and_the_models(data, tmp_path):
     data.save(tmp_path / "data.h5")
     done = subprocess.run([sys.executable, ROOT / "experiments" / "compare.py", f"data.path={tmp_path / 'data.h5'}",
