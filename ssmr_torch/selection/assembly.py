@@ -63,7 +63,7 @@ class Assembly:
         return np.tile(self.centre, count // len(self.centre)).tolist()
 
     @cached_property
-    def memory_rows(self) -> tuple[dict, np.ndarray]:
+    def memory_rows(self) -> np.ndarray:
         """Rows of the step of s by column of the uncentred monomials, (n_s, ·): s⁺ = a s + (1 − a) u, or a shift."""
         monomials, m, n = self.uncentred[0], self.samples.input_dim, self.n
         place = {factors: k for k, factors in enumerate(monomials.factors)}

@@ -97,19 +97,22 @@ class ClosedForm:
     @cached_property
     def moments(self) -> list[tuple[Moments, Moments | None, np.ndarray]]:
         """Of the flow map and of the outputs, and the largest |z|, by fold and of all."""
-        same = self.charts[0] is self.charts[ALL]
-        if same:
-            X, T, psi, xi, largest = self._regressors(self.charts[ALL])
-            outputs = [None] * (FOLDS + 1) if psi is None else list(by_fold(psi, xi, self.touching))
-            found = [(flow, output, largest) for flow, output in zip(by_fold(X, T, self.touching), outputs)]
-            del self.pasts
-            return found
+        shared = self.charts[0] is self.charts[ALL]
+        found = self._moments_of_one_chart() if shared else self._moments_of_each_chart()
+        del self.pasts  # the largest arrays here, and no longer needed
+        return found
+
+    def _moments_of_one_chart(self) -> list[tuple[Moments, Moments | None, np.ndarray]]:
+        X, T, psi, xi, largest = self._regressors(self.charts[ALL])
+        outputs = [None] * (FOLDS + 1) if psi is None else by_fold(psi, xi, self.touching)
+        return [(flow, output, largest) for flow, output in zip(by_fold(X, T, self.touching), outputs)]
+
+    def _moments_of_each_chart(self) -> list[tuple[Moments, Moments | None, np.ndarray]]:
         found = []
         for fold, chart in enumerate(self.charts):
             keep = slice(None) if fold == ALL else ~self.touching[fold]
             X, T, psi, xi, largest = self._regressors(chart)
             found.append((Moments.of(X[keep], T[keep]), Moments.of(psi[keep], xi[keep]), largest))
-        del self.pasts
         return found
 
     def _regressors(self, chart: Chart):

@@ -31,7 +31,7 @@ ROUND_TRIP = 1e-6  # of the outputs' size, by which χ⁻¹(χ(y)) may miss y
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """model; team: its members' specifications, best first; outcome: of the team; tried: specifications and scores.
+    """model; team: its members' specifications, best first; outcome: of the team.
 
     sentences: what was chosen, by which numbers, and what the data did not allow to decide. facts: the same as plain
     values.

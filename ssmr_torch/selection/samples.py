@@ -34,13 +34,6 @@ class Starts:
     def __len__(self) -> int:
         return len(self.window)
 
-    def thinned(self, count: int) -> Starts:
-        """At most `count` of them, evenly spread."""
-        if len(self) <= count:
-            return self
-        chosen = np.unique(np.linspace(0, len(self) - 1, count).astype(int))
-        return Starts(*(getattr(self, name)[chosen] for name in ("window", "past", "inputs", "follows")))
-
 
 class Samples:
     """Runs y (T, p) in m, u (T, m), sampled every `timestep` s; u[k] is held from y[k] to y[k + 1].
@@ -57,9 +50,7 @@ class Samples:
                  coordinates: Mapping[str, OutputCoordinates | None], targets: Sequence[int], past: int = PAST,
                  most: int = MOST, turns: Sequence[Turn] = ()):
         self.timestep, self.past, self.targets, self.most = float(timestep), past, list(targets), most
-        self.starts_share = 1.0 if most >= MOST else 0.6
-        self.turns = tuple(turns)
-        self.coordinates = dict(coordinates)
+        self.turns, self.coordinates = list(turns), dict(coordinates)
         self.decays, self.controlled = list(decays), list(controlled)
         originals = [*self.decays, *self.controlled]
         runs = [*originals, *(turn.of(run) for turn in turns for run in originals)]
@@ -71,12 +62,11 @@ class Samples:
         self.lengths = np.array([len(y) for y, _ in runs])
         self.first = np.concatenate([[0], np.cumsum(self.lengths)[:-1]])
         self.owner = np.repeat(np.arange(len(runs)), self.lengths)
-        self.pieces = list(self._pieces())
-        self.fold = np.full(len(self.y), -1)
+        self.pieces, self.originals = list(self._pieces()), sum(len(y) for y, _ in originals)
+        fold = np.full(self.originals, -1)
         for number, (begin, end) in enumerate(self.pieces):
-            self.fold[begin:end] = number % FOLDS
-        self.turns, self.originals = list(turns), sum(len(y) for y, _ in originals)
-        self.fold = np.tile(self.fold[:self.originals], 1 + len(turns))
+            fold[begin:end] = number % FOLDS
+        self.fold = np.tile(fold, 1 + len(self.turns))
         self.horizons = self._horizons()
         self._latent: dict[str, np.ndarray] = {}
 
@@ -92,8 +82,13 @@ class Samples:
         room = max(2, (longest - self.past) // 2)
         steps = [round(seconds / self.timestep) for seconds in HORIZONS]
         if steps[-1] > room:
-            steps = [max(1, round(steps_ * room / steps[-1])) for steps_ in steps]
+            steps = [round(step * room / steps[-1]) for step in steps]
         return sorted({max(1, step) for step in steps})
+
+    @property
+    def starts_share(self) -> float:
+        """Share of the starts that are scored; with few rows, while scouting, fewer of them, too."""
+        return 1.0 if self.most >= MOST else 0.6
 
     @property
     def is_decay(self) -> np.ndarray:
@@ -113,9 +108,9 @@ class Samples:
         return self._latent[name]
 
     def rows(self, ahead: int, decays: bool, copies: bool = True) -> np.ndarray:
-        """Samples with `past` before and `ahead` after them in their run, of copies at random as many as leave the fits
-        as fast; of the decays, evenly, no more than of the controlled runs: smooth motion repeats itself from sample
-        to sample.
+        """Samples with `past` before and `ahead` after them in their run, evenly chosen: of the controlled runs at most
+        `most`, twice as many where there are copies, and of the decays no more than of these and `most`, for smooth
+        motion repeats itself from sample to sample.
         """
         place = np.arange(len(self.y)) - self.first[self.owner]
         inside = (place >= self.past) & (place + ahead < self.lengths[self.owner])
