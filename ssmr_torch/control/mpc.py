@@ -8,6 +8,7 @@ from math import isfinite, sqrt
 import numpy as np
 
 from ssmr_torch import data_sheet as sheet
+from ssmr_torch.control.actuator import Actuator, ActuatorState
 from ssmr_torch.control.base import Command, admissible_input, whole_steps
 from ssmr_torch.control.condensing import continues
 from ssmr_torch.control.constraints import constraints_of
@@ -64,16 +65,18 @@ class ModelPredictiveController(DataSheet):
         stride = whole_steps("the model's window_timestep", model.window_timestep, self.timestep)
         self._age = whole_steps("measurement_delay", settings.measurement_delay, self.timestep) \
             if settings.measurement_delay else 0
+        self.actuator = ActuatorState(self._actuator(input_bounds))
+        self._lead = self.actuator.actuator.delay * self.timestep
         self.problem = self._problem(input_bounds, output_names)
-        self.horizon = horizon_for(model, self.problem)
-        self.safe_input = admissible_input("safe_input", settings.safe_input, self.problem.input_bounds)
+        self.horizon = horizon_for(model, self.problem, self.actuator.actuator)
+        self.safe_input = admissible_input("safe_input", settings.safe_input, self.input_bounds)
         self.solver = solver_named(settings.qp, *self.problem.size) if solver is None else solver
         # with a rate limit and obstacles a start one stage on was found to take more iterations, not fewer
         self._advance = None if self.problem.input_step is not None else getattr(self.solver, "advance", None)
         self._largest_norm = settings.range_factor * float(np.linalg.norm(model.state_scale))
         # a model in discrete time need not know steps as short as the measurements'
         observer = settings.observer
-        self._fine = model.at_timestep(self.timestep) if observer or self._age else None
+        self._fine = model.at_timestep(self.timestep) if observer or self._age or self._lead else None
         self.estimator = observer(self._fine, self.problem.input_scale) if observer else ChartEstimator(model, stride)
         self._warm_up()
 
@@ -93,6 +96,18 @@ class ModelPredictiveController(DataSheet):
             "state from": type(self.estimator).__name__,
             "fallbacks": sum(self.fallbacks.values())}
 
+    def _actuator(self, input_bounds) -> Actuator:
+        """That of the settings; Raises ValueError where it does not fit the measurements."""
+        given, (lower, upper) = self.settings.actuator, np.asarray(input_bounds, dtype=np.float64)
+        if given is None:
+            return Actuator(self.timestep, tuple((upper - lower).tolist()))
+        if len(given.input_range) != len(lower) or abs(given.timestep / self.timestep - 1.0) > 1e-3 \
+                or self._samples_per_step > 1:
+            raise ValueError(f"the actuator has {len(given.input_range)} inputs and steps of {given.timestep:g} s; "
+                             f"expected {len(lower)}, and the timestep {self.timestep:g} s as the period, which is "
+                             f"{self.period:g} s")
+        return given
+
     def _problem(self, input_bounds, output_names) -> TrackingProblem:
         settings, p, columns = self.settings, self.model.output_dim, self.task.columns(output_names)
         if max(columns) >= p:
@@ -104,9 +119,14 @@ class ModelPredictiveController(DataSheet):
             if settings.violation_weight is None else settings.violation_weight
         constraints = constraints_of(self.task, columns, p, settings.horizon, output_bounds=settings.output_bounds,
                                      margins=settings.margins, linear=linear, quadratic=quadratic)
-        return TrackingProblem(_Reference(self.task, columns, p), input_bounds, weight * tracked,
-                               settings.input_weight, settings.terminal_weight * tracked, settings.input_rate,
-                               settings.horizon, settings.period, constraints)
+        self._reference = _Reference(self.task, columns, p, settings.approach)
+        self.input_bounds = np.array(input_bounds, dtype=np.float64)
+        actuator, whole = self.actuator.actuator, {"input_range": np.ptp(self.input_bounds, axis=0)}
+        planned = actuator.reachable(self.input_bounds) if actuator.rubs else self.input_bounds
+        return TrackingProblem(self._reference, planned, weight * tracked, settings.input_weight,
+                               settings.terminal_weight * tracked, settings.input_rate, settings.horizon,
+                               settings.period, constraints, settings.move_weight, settings.huber,
+                               **(whole if actuator.rubs else {}))
 
     def _warm_up(self) -> None:
         self.reset()
@@ -119,8 +139,10 @@ class ModelPredictiveController(DataSheet):
     def reset(self) -> None:
         """Forget measurements, plans and counts."""
         self.estimator.reset()
-        # the input before the measurement that comes next, and those since
-        self._applied = deque([self.safe_input] * (self._age + 1), maxlen=self._age + 1)
+        self.actuator.rest_at(self.safe_input)
+        # what acted before the measurement that comes next, and since
+        self._applied = deque([self.actuator.acting] * (self._age + 1), maxlen=self._age + 1)
+        self._reference.begin_at(None, 0.0)
         self._last_input = self.safe_input
         self._plan: Plan | None = None
         self._planned_now, self._prepared = False, None
@@ -139,22 +161,25 @@ class ModelPredictiveController(DataSheet):
         # Overflow is no accident here: it is how a state far outside the model's range shows.
         with np.errstate(over="ignore", invalid="ignore"):
             self.estimator.measure(observation, self._applied[0])
+            if not self._reference.begun and np.isfinite(observation).all() and isfinite(time):
+                self._reference.begin_at(observation, time + self._lead)
             due = self._sample % self._samples_per_step == 0
             command = self._decide(time) if due else Command(self._last_input.copy(), held=True)
         self._last_input = command.input.copy()
-        self._applied.append(self._last_input)
+        self.actuator.apply(self._last_input)
+        self._applied.append(self.actuator.acting)
         self._sample += 1
         return command
 
     def prepare(self) -> None:
         """Linearize and condense around the plan for the next step; to be called when the input has been sent."""
         self._prepared = None
-        disturbed = self.horizon.input_offset is not None or self.horizon.output_offset is not None
+        disturbed = self._lead or self.horizon.input_offset is not None or self.horizon.output_offset is not None
         if disturbed or self._plan is None or not self._planned_now or self._sample % self._samples_per_step:
             return  # an estimated disturbance moves with the next measurement, and the linearization with it
         time, guess = self._plan.time + self.period, self._plan.shifted()
         reference = self.problem.reference_ahead(time)
-        guess = self.problem.admissible(guess, self._last_input)
+        guess = self.problem.admissible(guess, self._held)
         with np.errstate(over="ignore", invalid="ignore"):
             self._prepared = time, self.horizon.condense(self._plan.states[1], guess, reference)
 
@@ -171,11 +196,18 @@ class ModelPredictiveController(DataSheet):
             return False
         return bool((np.abs(self._last_input - self._input_then) > MOVED * self.problem.input_scale).any())
 
+    @property
+    def _held(self) -> np.ndarray:
+        """What the last command transmits, from which the next one counts."""
+        return self.actuator.transmitted
+
     def _decide(self, time: float) -> Command:
+        time = time + self._lead  # of the first input that can still be chosen, when it acts
         state, self.horizon.input_offset, self.horizon.output_offset = self.estimator.state()
         plan = None
-        if self._age:
-            state = self._bridged(state)
+        decided, self.horizon.lagged_from = self.actuator.decided()
+        if self._age or self._lead:
+            state = self._bridged(state, [*list(self._applied)[1:], *decided])
         if self._frozen:
             status = Status.FROZEN_SENSOR
         elif isfinite(time) and sqrt(state @ state) <= self._largest_norm:
@@ -187,19 +219,25 @@ class ModelPredictiveController(DataSheet):
         if not status.success:
             return self._fall_back(time, plan, status)
         self._plan, self._planned_now, self._prepared = plan, True, None
-        return Command(plan.inputs[0].copy(), plan)
+        return Command(self._crossing(plan.inputs[0]), plan)
 
-    def _bridged(self, state: np.ndarray) -> np.ndarray:
-        """The state now, of one that is as old as the measurements are."""
+    def _crossing(self, wanted: np.ndarray) -> np.ndarray:
+        """The command (m,) that transmits this, within the bounds."""
+        if not self.actuator.actuator.rubs:
+            return wanted.copy()
+        return np.clip(self.actuator.actuator.crossing(self._held, wanted), *self.input_bounds)
+
+    def _bridged(self, state: np.ndarray, acting) -> np.ndarray:
+        """The state when the next input acts, of one that is as old as the measurements are."""
         offset = self.horizon.input_offset
-        for applied in list(self._applied)[1:]:
+        for applied in acting:
             state = self._fine.step(state, applied if offset is None else applied + offset)
         return state
 
     def _solve(self, time: float, state: np.ndarray) -> Plan:
         steps = self._steps_since_plan(time)
         if steps is None:
-            guess = np.tile(self._last_input, (self.problem.horizon, 1))
+            guess = np.tile(self._held, (self.problem.horizon, 1))
         else:
             guess = self._plan.shifted(steps)
         reference = self.problem.reference_ahead(time)
@@ -213,7 +251,7 @@ class ModelPredictiveController(DataSheet):
         if continued and self._prepared is not None and abs(self._prepared[0] - time) < 0.1 * self.period:
             prepared = self._prepared[1]
         return solve_scp(self.problem, self.horizon, state, guess, self.solver, time=time,
-                         reference=reference, last_input=self._last_input, max_iterations=iterations,
+                         reference=reference, last_input=self._held, max_iterations=iterations,
                          tolerance=self.settings.tolerance, prepared=prepared)
 
     def _steps_since_plan(self, time: float) -> int | None:
@@ -230,8 +268,8 @@ class ModelPredictiveController(DataSheet):
         self.solver.reset()
         steps = self._steps_since_plan(time) if isfinite(time) else None
         intended = self.safe_input if steps is None else self._plan.inputs[steps]
-        admissible = self.problem.admissible(intended[None], self._last_input)[0]
-        return Command(admissible, plan, status)
+        admissible = self.problem.admissible(intended[None], self._held)[0]
+        return Command(self._crossing(admissible), plan, status)
 
 
 def _seen(model, output_names):
@@ -246,12 +284,26 @@ def _seen(model, output_names):
 
 
 class _Reference:
-    """The task's reference in the columns that it tracks, zero in the others, which weigh nothing."""
+    """The task's reference in the columns that it tracks, zero in the others, which weigh nothing.
 
-    def __init__(self, task, columns: tuple[int, ...], output_dim: int):
-        self.task, self.columns, self.output_dim = task, list(columns), output_dim
+    approach: s, within which the distance to where the robot was at first goes to zero, twice continuously
+    differentiable.
+    """
+
+    def __init__(self, task, columns: tuple[int, ...], output_dim: int, approach: float):
+        self.task, self.columns, self.output_dim, self.approach = task, list(columns), output_dim, approach
+        self.begin_at(None, 0.0)
+
+    def begin_at(self, observation: np.ndarray | None, time: float) -> None:
+        """The robot is at observation (p,) m at this time, s; None: not known yet."""
+        self.begun, self.start, self.distance = observation is not None, time, np.zeros(len(self.columns))
+        if self.begun and self.approach:
+            self.distance = observation[self.columns] - self.task.reference(np.array([time]))[0]
 
     def __call__(self, time: np.ndarray) -> np.ndarray:
         reference = np.zeros((len(time), self.output_dim))
         reference[:, self.columns] = self.task.reference(time)
+        if self.begun and self.approach and time[0] < self.start + self.approach:
+            s = np.clip((time - self.start) / self.approach, 0.0, 1.0)[:, None]
+            reference[:, self.columns] += (1.0 - s**3 * (s * (6.0 * s - 15.0) + 10.0)) * self.distance
         return reference

@@ -67,7 +67,7 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     reference = problem.reference_ahead(time) if reference is None else reference
     times = None if problem.constraints is None else problem.times_ahead(time)
     inputs = problem.admissible(np.asarray(guess, dtype=np.float64), last_input)
-    bounds = problem.scaled_bounds(last_input)
+    bounds, horizon.last_input = problem.scaled_bounds(last_input), last_input
     solution, status, iterations = None, Status.ITERATION_LIMIT, 0
     if prepared is None:
         point = horizon.condense(state, inputs, reference)
@@ -76,7 +76,7 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     states, outputs = point.states, point.outputs
     cost = np.nan
     if max_iterations > 1:  # a real-time iteration compares with nothing, and its program shows what is not finite
-        cost = problem.cost(outputs, inputs, reference, times)
+        cost = problem.cost(outputs, inputs, reference, times, last_input)
         if not np.isfinite(cost):
             status = Status.NOT_FINITE
     while iterations < max_iterations and status is Status.ITERATION_LIMIT:
@@ -94,7 +94,7 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
         if max_iterations > 1 and -slope <= tolerance * cost:
             status = Status.SOLVED
             break
-        found = _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, times,
+        found = _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, times, last_input,
                              0 if max_iterations == 1 else HALVINGS)
         if found is None:
             status = Status.NOT_FINITE if max_iterations == 1 else Status.NOT_DESCENDING
@@ -146,7 +146,7 @@ def _promised(problem, point: Condensed, inputs, proposed, outputs, times, x) ->
     return slope + there - constraints.penalty(times, outputs)
 
 
-def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, times, halvings):
+def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, times, last_input, halvings):
     """(inputs, states, outputs, cost) of the first step 1, ½, ¼, … that lowers the cost enough, or None.
 
     Without halvings the full step is taken wherever its rollout is finite.
@@ -155,7 +155,7 @@ def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slo
         length = 0.5**halving
         candidate = proposed if halving == 0 else inputs + length * (proposed - inputs)
         states, outputs = horizon.rollout(state, candidate)
-        candidate_cost = problem.cost(outputs, candidate, reference, times)
+        candidate_cost = problem.cost(outputs, candidate, reference, times, last_input)
         enough = np.inf if halvings == 0 else cost + ARMIJO * length * slope
         if np.isfinite(candidate_cost) and candidate_cost <= enough:
             return candidate, states, outputs, candidate_cost
