@@ -22,7 +22,8 @@ class Actuator(Settings):
     """Command u → acting input v, per input and sample k, h the timestep, from rest at the first command:
 
         T_k = clip(T_{k−1}, low(u_k), high(u_k)),       low, high = u e^{∓friction} ∓ play · range, in order,
-        x_k = share x_{k−1} + (1 − share) T_{k−d},      share = e^{−h / lag},  d = delay,
+        r_k = clip(T_k, r_{k−1} ∓ rate h · range),
+        x_k = share x_{k−1} + (1 − share) r_{k−d},      share = e^{−h / lag},  d = delay,
         v_k = gain x_k + offset · range.
 
     T is a hysteresis: play of gears and cables, and a cable's friction, μθ of the capstan equation, about zero force
@@ -30,7 +31,7 @@ class Actuator(Settings):
 
     timestep: h, s.   input_range: (m,), highest minus lowest input.
     delay: samples; that of the sensors is in it.   lag: s, of the first order.   play: half of its width, of
-    the input range.   friction: μθ, 1.   gain: (m,) 1; None: one.   offset: (m,), of the input range; None: zero.
+    the input range.   friction: μθ, 1.   rate: input ranges per s; None: no limit.   gain: (m,) 1; None: one.   offset: (m,), of the input range; None: zero.
     Raises ValueError for numbers that make no sense.
     """
 
@@ -40,6 +41,7 @@ class Actuator(Settings):
     lag: float = 0.0
     play: float = 0.0
     friction: float = 0.0
+    rate: float | None = None
     gain: tuple[float, ...] | None = None
     offset: tuple[float, ...] | None = None
 
@@ -48,6 +50,8 @@ class Actuator(Settings):
         self._set("delay", whole("delay", self.delay, least=0))
         for name, unit in (("lag", "s"), ("play", ""), ("friction", "")):
             self._set(name, non_negative(name, getattr(self, name), unit))
+        if self.rate is not None:
+            self._set("rate", positive("rate", self.rate, "1/s"))
         for name in ("input_range", "gain", "offset"):
             given = getattr(self, name)
             if given is None:
@@ -62,7 +66,7 @@ class Actuator(Settings):
     @property
     def trivial(self) -> bool:
         """Whether the acting inputs are the commands."""
-        return not (self.delay or self.lag or self.rubs or self.gain or self.offset)
+        return not (self.delay or self.lag or self.rubs or self.rate or self.gain or self.offset)
 
     @property
     def rubs(self) -> bool:
@@ -89,6 +93,11 @@ class Actuator(Settings):
         return np.array(self.input_range)
 
     @cached_property
+    def stride(self) -> np.ndarray:
+        """(m,), what the rate allows within a sample; infinite without a limit."""
+        return np.full(len(self.input_range), np.inf) if self.rate is None else self.rate * self.timestep * self._range
+
+    @cached_property
     def _half(self) -> np.ndarray:
         return self.play * self._range
 
@@ -99,7 +108,8 @@ class Actuator(Settings):
     def acting(self, commands: np.ndarray) -> np.ndarray:
         """v (T, m) of commands (T, m), from rest at the first one."""
         commands = np.ascontiguousarray(commands, dtype=np.float64)
-        return _acting(commands, self.delay, self.share, self._half, self.friction, self.factor, self.shift)
+        return _acting(commands, self.delay, self.share, self._half, self.friction, self.stride, self.factor,
+                       self.shift)
 
     def transmitted(self, held: np.ndarray, command: np.ndarray) -> np.ndarray:
         """T of a command (m,) after T was `held` (m,)."""
@@ -145,7 +155,7 @@ class ActuatorState:
     def rest_at(self, command: np.ndarray) -> None:
         """As after this command (m,) for ever."""
         command = np.array(command, dtype=np.float64)
-        self.transmitted, self._lagged = command, command.copy()
+        self.transmitted, self._limited, self._lagged = command, command, command.copy()
         self._queue = [command] * self.actuator.delay
         self.acting = self.actuator.factor * command + self.actuator.shift
 
@@ -153,7 +163,9 @@ class ActuatorState:
         """The command (m,) of this sample is given: `acting` is then what acts until the next."""
         actuator = self.actuator
         self.transmitted = actuator.transmitted(self.transmitted, command)
-        self._queue.append(self.transmitted)
+        self._limited = np.minimum(np.maximum(self.transmitted, self._limited - actuator.stride),
+                                   self._limited + actuator.stride)
+        self._queue.append(self._limited)
         self._lagged = actuator.share * self._lagged + (1.0 - actuator.share) * self._queue.pop(0)
         self.acting = actuator.factor * self._lagged + actuator.shift
 
@@ -167,19 +179,20 @@ class ActuatorState:
 
 
 @compiled
-def _acting(u, delay, share, half, friction, gain, shift):
+def _acting(u, delay, share, half, friction, stride, gain, shift):
     T, m = u.shape
     out = np.empty_like(u)
     less, more = np.exp(-friction), np.exp(friction)
     line = np.empty(T)
     for j in range(m):
-        held = x = u[0, j]
+        held = limited = x = u[0, j]
         for k in range(T):
             low, high = u[k, j] * less, u[k, j] * more
             if low > high:
                 low, high = high, low
             held = min(max(held, low - half[j]), high + half[j])
-            line[k] = held
+            limited = min(max(held, limited - stride[j]), limited + stride[j])
+            line[k] = limited
             x = share * x + (1.0 - share) * (line[k - delay] if k >= delay else u[0, j])
             out[k, j] = gain[j] * x + shift[j]
     return out
