@@ -22,7 +22,7 @@ class Condensed(NamedTuple):
     """The problem around the inputs U: states (N+1, n), outputs y_1 … y_N (N, p), and in v = u / input_scale
 
         hessian (N m, N m) = 2 (Σ_k Y_kᵀ Q_k Y_k + R + Dᵀ S D),   Y_k = ∂y_k/∂v,   D v = v_k − v_{k−1},
-        gradient (N m,)    = 2 (Σ_k Y_kᵀ Q_k (y_k − ŷ_k) + R v + Dᵀ S D v),
+        gradient (N m,)    = 2 (Σ_k Y_kᵀ Q_k (y_k − ŷ_k) + R (v − v̄) + Dᵀ S D v),
         linear (N m,)      = gradient − hessian v,
 
     the Gauss-Newton matrix and the exact gradient of the tracking cost / cost_scale, with Q and R scaled alike; the
@@ -58,7 +58,8 @@ class Horizon(ABC):
         self._R = 2.0 * problem.input_weight / problem.cost_scale
         self._mixing = None if self.actuator is None else lag_matrix(self.actuator, problem.horizon)
         self._changes = _change_matrix(problem) if problem.moves else None
-        self._plain = self._mixing is None and self._changes is None and problem.huber is None
+        self._plain = self._mixing is None and self._changes is None and problem.huber is None \
+            and problem.input_target is None
         # the weights of the inputs are added afterwards where they are more than a diagonal
         self._own_R = self._R if self._plain else np.zeros_like(self._R)
 
@@ -124,7 +125,9 @@ class Horizon(ABC):
     def _gradients(self, hessian, Y, outputs, reference, inputs) -> tuple[np.ndarray, np.ndarray]:
         scale = self.problem.input_scale
         weight = self._weight_at(outputs, reference)
-        gradient = condensing.gradient(Y, outputs, reference, weight, self._R, inputs, scale)
+        target = self.problem.input_target
+        from_target = inputs if target is None else inputs - target
+        gradient = condensing.gradient(Y, outputs, reference, weight, self._R, from_target, scale)
         if self._changes is not None:
             gradient += self._changes @ (inputs / scale).ravel()
             before = inputs[0] if self.last_input is None else self.last_input

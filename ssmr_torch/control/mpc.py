@@ -126,7 +126,7 @@ class ModelPredictiveController(DataSheet):
         return TrackingProblem(self._reference, planned, weight * tracked, settings.input_weight,
                                settings.terminal_weight * tracked, settings.input_rate, settings.horizon,
                                settings.period, constraints, settings.move_weight, settings.huber,
-                               **(whole if actuator.rubs else {}))
+                               input_target=settings.input_target, **(whole if actuator.rubs else {}))
 
     def _warm_up(self) -> None:
         self.reset()

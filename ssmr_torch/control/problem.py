@@ -20,7 +20,7 @@ SLACK_SCALE = 1e-3
 class TrackingProblem:
     """Paper, Eq. 12 with the sums that the choice of u can influence:
 
-        min  Σ_{k=1..N} ρ(‖y_k − ŷ_k‖²_Q) + ‖y_N − ŷ_N‖²_{Q_f} + Σ_{k=0..N−1} ‖v_k‖²_R + ‖v_k − v_{k−1}‖²_S
+        min  Σ_{k=1..N} ρ(‖y_k − ŷ_k‖²_Q) + ‖y_N − ŷ_N‖²_{Q_f} + Σ_{k=0..N−1} ‖v_k − v̄‖²_R + ‖v_k − v_{k−1}‖²_S
         s.t. lower ≤ u_k ≤ upper,   |u_k − u_{k−1}| ≤ rate · period   with u_{−1} the input applied last,
 
     where v = u / range is the input in units of its range, so that no weight has the unit of an input. Where there are
@@ -31,6 +31,7 @@ class TrackingProblem:
     output_weight, terminal_weight: diagonals of Q and Q_f, (p,) or one number, 1/m².
     input_weight, move_weight: diagonals of R and S, (m,) or one number, without unit.   huber: m, or None.
     input_rate: (m,) or one number, input unit per s, or None.   input_range: (m,), by default that of the bounds.
+    input_target: (m,), range · v̄, which inputs tend to where tracking leaves them free; None: zero.
     constraints: `OutputConstraints` or None.
     Raises ValueError for sizes that disagree, crossed bounds, and weights without a unique minimum.
 
@@ -50,6 +51,7 @@ class TrackingProblem:
     move_weight: np.ndarray | float = 0.0
     huber: float | None = None
     input_range: np.ndarray | None = None
+    input_target: np.ndarray | None = None
 
     def __post_init__(self):
         bounds = np.array(self.input_bounds, dtype=np.float64)
@@ -71,6 +73,8 @@ class TrackingProblem:
         self._set("move_weight", _diagonal("move_weight", self.move_weight, inputs))
         if self.input_range is not None:
             self._set("input_range", _diagonal("input_range", self.input_range, inputs))
+        if self.input_target is not None:
+            self._set("input_target", np.array(self.input_target, dtype=np.float64))
         if not (self.input_weight > 0).all():
             raise ValueError(f"input_weight is {self.input_weight.tolist()}; expected positive numbers, "
                              "without them the optimal input is not unique")
@@ -207,7 +211,8 @@ class TrackingProblem:
         the first input may be any.
         """
         weight = self.stage_weight if self.huber is None else self.huber_weight(outputs, reference, cost=True)
-        cost = tracking_cost(outputs, inputs / self.input_scale, reference, weight, self.input_weight)
+        from_target = inputs if self.input_target is None else inputs - self.input_target
+        cost = tracking_cost(outputs, from_target / self.input_scale, reference, weight, self.input_weight)
         if self.moves:
             first = inputs[:1] if last_input is None else last_input[None]
             changes = np.diff(inputs, axis=0, prepend=first) / self.input_scale

@@ -19,7 +19,8 @@ class PredictiveControlSettings(Settings):
     output_weight: on every tracked output, 1/m²; the default is 100 per mm², the authors'.   terminal_weight: added to
     it at the horizon's end, 1/m².
     input_weight, move_weight: on every input and on its change from one control step to the next, in units of the
-    input's range, one number or (m,) without unit.   huber: m, tracking error from which its cost grows linearly, so
+    input's range, one number or (m,) without unit.   input_target: (m,), input that costs nothing, to which inputs tend
+    where tracking leaves them free; None: zero.   huber: m, tracking error from which its cost grows linearly, so
     that what is out of reach is not forced; None: never.
     input_rate: input unit per s, one number or (m,); None: no limit.
     actuator: the `Actuator` between commands and robot; the model is then one of acting inputs, and a control step one
@@ -51,6 +52,7 @@ class PredictiveControlSettings(Settings):
     input_weight: float | Sequence[float] = 225.0
     move_weight: float | Sequence[float] = 0.0
     huber: float | None = None
+    input_target: Sequence[float] | None = None
     terminal_weight: float = 0.0
     input_rate: float | Sequence[float] | None = None
     safe_input: Sequence[float] | None = None
@@ -89,7 +91,7 @@ class PredictiveControlSettings(Settings):
         if self.input_weight is None:
             raise ValueError("input_weight is None; expected positive numbers, without them the optimal input is not "
                              "unique")
-        for name in ("safe_input", "output_bounds", "margins", "violation_weight"):
+        for name in ("safe_input", "input_target", "output_bounds", "margins", "violation_weight"):
             self._set(name, _numbers(name, getattr(self, name)))
         if self.violation_weight is not None and (len(self.violation_weight) != 2 or min(self.violation_weight) < 0):
             raise ValueError(f"violation_weight is {self.violation_weight}; expected two numbers, 1/m and 1/m², none "

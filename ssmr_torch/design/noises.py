@@ -44,7 +44,8 @@ class Noises:
 class Observer:
     """Stationary Kalman filter of z⁺ = f(z, v) + w, d⁺ = d + w_d, y = w(z) + d + noise, outputs in units of the reach.
 
-    gain (n + p, p); covariance (p, p) of the innovation; process (n + p, n + p), sensor (p, p): of w, w_d and noise.
+    gain (n + p, p); covariance (p, p) of the innovation; process (n + p, n + p), sensor (p, p): of w, w_d and noise; n
+    states without those that are the constant 1.
     """
 
     gain: np.ndarray
@@ -117,16 +118,21 @@ class Likelihood:
         H = np.hstack([C, np.eye(p)])
         P = solve_discrete_are(G.T, H.T, process, sensor)
         S = H @ P @ H.T + sensor
-        gain = np.zeros((self.model.state_dim + p, p))
-        found = np.linalg.solve(S, H @ P).T
-        gain[self.free], gain[self.model.state_dim:] = found[:n], found[n:]
-        return Observer(gain, S, process, sensor)
+        return Observer(np.linalg.solve(S, H @ P).T, S, process, sensor)
+
+    def whole_gain(self, observer: Observer) -> np.ndarray:
+        """(n + p, p) of all states of the model, zero for constant ones."""
+        n, p = self.model.state_dim, self.model.output_dim
+        gain = np.zeros((n + p, p))
+        gain[self.free], gain[n:] = observer.gain[:-p], observer.gain[-p:]
+        return gain
 
     def innovations(self, observer: Observer) -> np.ndarray:
         """(segments, SEGMENT − BURN_IN, p), of the reach."""
         n, reach = self.model.state_dim, self.acted.reach
         z, d, found = self.begin, np.zeros((len(self.begin), self.model.output_dim)), []
-        of_state, of_disturbance = observer.gain[:n].T, observer.gain[n:].T
+        gain = self.whole_gain(observer)
+        of_state, of_disturbance = gain[:n].T, gain[n:].T
         with np.errstate(over="ignore", invalid="ignore"):
             for k in range(SEGMENT):
                 z = self.model.step(z, self.inputs[:, k])

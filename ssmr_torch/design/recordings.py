@@ -77,6 +77,11 @@ class Recordings:
         """(m,), the admissible command nearest to zero."""
         return np.clip(0.0, *self.bounds)
 
+    @cached_property
+    def usual_input(self) -> np.ndarray:
+        """(m,), mean input of the controlled runs: around it the recordings are dense."""
+        return np.concatenate([piece.input for piece in self.controlled]).mean(0)
+
     def under(self, actuator: Actuator) -> Recordings:
         """The same with acting inputs in place of commands."""
         def acted(pieces):
