@@ -10,9 +10,6 @@ import numpy as np
 from ssmr_torch.control.condensing import compiled
 from ssmr_torch.settings import Settings, non_negative, positive, whole
 
-# Share of the play's width within which the command crosses it softly: a full crossing at every sign of the noise would
-# hammer.
-EASE = 0.3
 # Of an input's range: what the crossing adds to a width of zero, so that it stays defined.
 LEAST_WIDTH = 1e-3
 
@@ -31,7 +28,8 @@ class Actuator(Settings):
 
     timestep: h, s.   input_range: (m,), highest minus lowest input.
     delay: samples; that of the sensors is in it.   lag: s, of the first order.   play: half of its width, of
-    the input range.   friction: μθ, 1.   rate: input ranges per s; None: no limit.   gain: (m,) 1; None: one.   offset: (m,), of the input range; None: zero.
+    the input range.   friction: μθ, 1.   rate: input ranges per s; None: no limit.   ease: of
+    the play's width, within which the command crosses it in proportion: with less, noise would hammer.   gain: (m,) 1; None: one.   offset: (m,), of the input range; None: zero.
     Raises ValueError for numbers that make no sense.
     """
 
@@ -42,6 +40,7 @@ class Actuator(Settings):
     play: float = 0.0
     friction: float = 0.0
     rate: float | None = None
+    ease: float = 1.0
     gain: tuple[float, ...] | None = None
     offset: tuple[float, ...] | None = None
 
@@ -50,6 +49,7 @@ class Actuator(Settings):
         self._set("delay", whole("delay", self.delay, least=0))
         for name, unit in (("lag", "s"), ("play", ""), ("friction", "")):
             self._set(name, non_negative(name, getattr(self, name), unit))
+        self._set("ease", positive("ease", self.ease))
         if self.rate is not None:
             self._set("rate", positive("rate", self.rate, "1/s"))
         for name in ("input_range", "gain", "offset"):
@@ -122,7 +122,7 @@ class Actuator(Settings):
         """The command (m,) that transmits `wanted` (m,) where T was `held` (m,); softly near it."""
         if not self.rubs:
             return np.array(wanted, dtype=np.float64)
-        width = EASE * (self._half + self.friction * np.abs(wanted)) + LEAST_WIDTH * self._range
+        width = self.ease * (self._half + self.friction * np.abs(wanted)) + LEAST_WIDTH * self._range
         push = np.clip((wanted - held) / width, -1.0, 1.0)
         return wanted * np.exp(self.friction * push * np.sign(wanted)) + push * self._half
 

@@ -15,7 +15,7 @@ from ssmr_torch.design.loops import Margins, Point, Weights
 from ssmr_torch.design.model_choice import ChosenModel, points_along
 from ssmr_torch.design.noises import Likelihood, Noises, Observer
 from ssmr_torch.design.recordings import Recordings
-from ssmr_torch.design.twin import CASES, WIDER, Case, Twin, recorded_motion, tracking_error
+from ssmr_torch.design.twin import CASES, LOST, WIDER, Case, Twin, recorded_motion, tracking_error
 from ssmr_torch.tasks.references import Task
 
 OF_STATES, OF_DISTURBANCE, OF_SENSOR = (1.0, 0.1, 0.01), (0.3, 1.0, 3.0, 10.0), (1.0, 4.0)
@@ -29,6 +29,7 @@ SHARE_OF_LOOP = 3.0  # samples beyond the actuator's own delay and lag
 PEAK = 2.0           # of the sensitivity
 TRIES = 10           # designs that are tried against the twin
 FAR = 1.25           # times the least error out of reach, that a design may make there
+EASES = (0.3, 2.0)   # of a play's width, beside the actuator's own, over which the command may cross it
 DRIFT = 3.0          # how much stronger the disturbance is taken to be in use than in the recordings
 
 
@@ -55,6 +56,7 @@ class WeightSearch:
     """
 
     best: Design
+    actuator: Actuator
     count: int
     stable: int
     safe: int
@@ -128,14 +130,18 @@ def choose_weights(chosen: ChosenModel, actuator: Actuator, acted: Recordings, l
     if len(picked) > TRIES:
         half = TRIES // 2
         picked = picked[:half] + [picked[k] for k in np.linspace(half, len(picked) - 1, TRIES - half).astype(int)]
-    tried = _against_twin(picked, chosen, actuator, acted, likelihood, noises, task, tell)
+    trial = _Trial(chosen, actuator, acted, likelihood, noises, task, tell)
+    tried = trial.all(picked)
     kept = [each for each in tried if each.against_twin and np.isfinite(list(each.against_twin.values())).any()]
     best = min(kept, key=_score) if kept else picked[0]
     judged = "twin" if kept else "margins"
+    if kept and actuator.rubs:
+        eased = [(replace(actuator, ease=ease), trial.disturbed(best, replace(actuator, ease=ease))) for ease in EASES]
+        actuator, best = min([(actuator, best), *eased], key=lambda each: _score(each[1]))
     say(f"weights: move {best.weights.move:g}, observer × {best.factors}; predicted error "
         f"{100 * best.predicted:.3g} % of the reach; against the twin "
         + ", ".join(f"{name} {100 * error:.3g} %" for name, error in best.against_twin.items()))
-    return WeightSearch(best, len(designs), len(stable), len(safe), candidates.extra, judged, candidates.points)
+    return WeightSearch(best, actuator, len(designs), len(stable), len(safe), candidates.extra, judged, candidates.points)
 
 
 def _score(design: Design) -> float:
@@ -143,23 +149,34 @@ def _score(design: Design) -> float:
     return float(np.mean(np.log(np.minimum(list(design.against_twin.values()), 1.0))))
 
 
-def _against_twin(picked, chosen, actuator, acted, likelihood, noises, task, tell) -> list[Design]:
-    motion = recorded_motion(acted, task.tracked)
-    far = recorded_motion(acted, task.tracked, scale=WIDER)
-    noise = noises.sensor * acted.reach
+class _Trial:
+    """Loops of designs against the twin, disturbed, along a recorded motion and along one that is out of reach."""
 
-    def loop(design: Design, path: Task, case: Case, lost: float) -> float:
+    def __init__(self, chosen: ChosenModel, actuator: Actuator, acted: Recordings, likelihood: Likelihood,
+                 noises: Noises, task: Task, tell: Callable[[int], None]):
+        self.chosen, self.actuator, self.acted, self.likelihood = chosen, actuator, acted, likelihood
+        self.noises, self.tell = noises, tell
+        self.motion = recorded_motion(acted, task.tracked)
+        self.far = recorded_motion(acted, task.tracked, scale=WIDER)
+
+    def error(self, design: Design, path: Task, case: Case, lost: float, actuator: Actuator | None = None) -> float:
+        acted, actuator = self.acted, actuator or self.actuator
         controller = ModelPredictiveController(
-            chosen.model, path, acted.bounds, timestep=acted.timestep, output_names=acted.output_names,
-            settings=settings_of(design.weights, design.observer, actuator, acted, likelihood))
-        error = tracking_error(Twin(chosen.twin, actuator, acted, noise, case), controller, path, acted.tracked,
-                               lost=lost)
-        tell(1)
-        return error
+            self.chosen.model, path, acted.bounds, timestep=acted.timestep, output_names=acted.output_names,
+            settings=settings_of(design.weights, design.observer, actuator, acted, self.likelihood))
+        twin = Twin(self.chosen.twin, self.actuator, acted, self.noises, case)
+        found = tracking_error(twin, controller, path, acted.tracked, lost=lost)
+        self.tell(1)
+        return found
 
-    out_of_reach = [loop(each, far, CASES[0], np.inf) for each in picked]
-    least = min(out_of_reach)
-    # a twin that itself explodes out of reach is no judge there
-    allowed = FAR * least if least < 1.0 else np.inf
-    return [replace(each, against_twin={case.name: loop(each, motion, case, 0.05) for case in CASES})
-            for each, error in zip(picked, out_of_reach) if not error > allowed]
+    def disturbed(self, design: Design, actuator: Actuator | None = None) -> Design:
+        """The design with its errors against the disturbed twin."""
+        return replace(design, against_twin={case.name: self.error(design, self.motion, case, LOST, actuator)
+                                             for case in CASES})
+
+    def all(self, designs: list[Design]) -> list[Design]:
+        """Those of the designs that stay close to a motion out of reach, with their errors."""
+        far = [self.error(each, self.far, CASES[0], np.inf) for each in designs]
+        # a twin that itself explodes out of reach is no judge there
+        allowed = FAR * min(far) if min(far) < 1.0 else np.inf
+        return [self.disturbed(each) for each, error in zip(designs, far) if not error > allowed]
