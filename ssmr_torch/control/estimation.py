@@ -6,9 +6,14 @@ from typing import Protocol
 
 import numpy as np
 
+from ssmr_torch.control.measurement import RecordedRange
+
 
 class Estimator(Protocol):
-    """Called once for each measurement, in order."""
+    """Called once for each sample, in order; one that was skipped comes as a missing one.
+
+    It may have `forget()`, as `reset` but for counts, and `counts`, a Counter of what happened by name.
+    """
 
     def reset(self) -> None:
         """Forget all measurements."""
@@ -23,8 +28,10 @@ class Estimator(Protocol):
 class ChartEstimator:
     """z = v(window): the reduced state is what the chart makes of the newest n_d + 1 samples.
 
-    model: with `encode`, `delays`, `input_dim`, `output_dim`. stride: measurements from one sample of the window to the
-    next. Before the first measurement the robot is taken to have rested where it is.
+    model: with `encode`, `decode`, `state_scale`, `delays`, `input_dim`, `output_dim`. stride: measurements from one
+    sample of the window to the next. Before the first measurement the robot is taken to have rested where it is. Values
+    that are missing, or beyond the recorded range, are replaced in the window as soon as one that is neither comes:
+    straight between the two around them, or by the new one where the gap is longer than the window.
     """
 
     def __init__(self, model, stride: int):
@@ -32,22 +39,41 @@ class ChartEstimator:
         length = model.delays * self.stride
         self._observations = np.empty((length + 1, model.output_dim))
         self._inputs = np.empty((length, model.input_dim))
+        self._range = RecordedRange(model)
         self.reset()
 
     def reset(self) -> None:
         self._begun = False
+        self._gaps: np.ndarray | None = None  # (p,) rows since the last good value of each output; None: all zero
 
     def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
         """The newest sample enters the window, the oldest leaves it."""
+        good = np.abs(observation - self._range.center) <= self._range.limit  # not where a value is missing
+        good &= np.isfinite(observation)
         if not self._begun:
             self._observations[:], self._inputs[:] = observation, last_input
             self._begun = True
+            self._gaps = None if good.all() else np.where(good, 0, len(self._observations))
             return
         self._observations[:-1] = self._observations[1:]
         self._observations[-1] = observation
         if len(self._inputs):
             self._inputs[:-1] = self._inputs[1:]
             self._inputs[-1] = last_input
+        if self._gaps is not None or not good.all():
+            self._mend(good)
+
+    def _mend(self, good: np.ndarray) -> None:
+        """Fill the gaps that end with the newest sample, and count on those that do not."""
+        gaps = np.zeros(len(good), dtype=int) if self._gaps is None else self._gaps
+        for output in np.flatnonzero(good & (gaps > 0)):
+            rows, gap = self._observations[:, output], gaps[output]
+            if gap + 2 > len(rows):
+                rows[:] = rows[-1]
+            else:
+                rows[-1 - gap:] = np.linspace(rows[-2 - gap], rows[-1], gap + 2)[1:]
+        gaps = np.where(good, 0, np.minimum(gaps + 1, len(self._observations)))
+        self._gaps = gaps if gaps.any() else None
 
     def window(self) -> tuple[np.ndarray, np.ndarray]:
         """Views of the delay window (n_d + 1, p), oldest first, and of the inputs (n_d, m) set at all samples but the

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from math import isfinite, sqrt
+from math import inf, isfinite, sqrt
+from time import thread_time
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from ssmr_torch.control.constraints import constraints_of
 from ssmr_torch.control.estimation import ChartEstimator
 from ssmr_torch.control.horizon import horizon_for
 from ssmr_torch.control.problem import TrackingProblem
+from ssmr_torch.control.sampling import Sample, Sampling
 from ssmr_torch.control.scp import Plan, solve_scp
 from ssmr_torch.control.settings import PredictiveControlSettings
 from ssmr_torch.control.solvers import solver_named
@@ -41,7 +43,10 @@ class ModelPredictiveController(DataSheet):
     perhaps `advance`, see `ProxQP`.
 
     A step that cannot be trusted falls back to the plan made last, then to safe_input, under the same bounds
-    and rate; `fallbacks` counts the reasons by Status. Everything is compiled and run once at construction.
+    and rate; `fallbacks` counts the reasons by Status, and `counts` what happened to time and measurements, see
+    `Sampling`, `KalmanObserver`, and below. The time of a call places it among the samples: skipped ones are told to
+    the estimator as missing, and where the time has jumped the controller begins anew from where the robot is.
+    `input_bounds` can be changed between steps without losing window, plan and observer. Everything is compiled and run once at construction.
     `prepare` may be called between two measurements: it linearizes and condenses around the shifted plan, and the next
     step only has to solve.
     Raises ValueError when a period is not a multiple of the timestep or sizes or names disagree, TypeError for a change
@@ -60,13 +65,13 @@ class ModelPredictiveController(DataSheet):
         model = self.model
         self.timestep = float(model.window_timestep if timestep is None else timestep)
         self.period = settings.period
-        self._samples_per_step = whole_steps("period", self.period, self.timestep)
+        every = whole_steps("period", self.period, self.timestep)
         stride = whole_steps("the model's window_timestep", model.window_timestep, self.timestep)
         self._age = whole_steps("measurement_delay", settings.measurement_delay, self.timestep) \
             if settings.measurement_delay else 0
         self.problem = self._problem(input_bounds, output_names)
         self.horizon = horizon_for(model, self.problem)
-        self.safe_input = admissible_input("safe_input", settings.safe_input, self.problem.input_bounds)
+        self.safe_input = self._safe = admissible_input("safe_input", settings.safe_input, self.problem.input_bounds)
         self.solver = solver_named(settings.qp, *self.problem.size) if solver is None else solver
         # with a rate limit and obstacles a start one stage on was found to take more iterations, not fewer
         self._advance = None if self.problem.input_step is not None else getattr(self.solver, "advance", None)
@@ -75,6 +80,7 @@ class ModelPredictiveController(DataSheet):
         observer = settings.observer
         self._fine = model.at_timestep(self.timestep) if observer or self._age else None
         self.estimator = observer(self._fine, self.problem.input_scale) if observer else ChartEstimator(model, stride)
+        self._sampling = Sampling(model, self.timestep, every, max(settings.horizon * every, model.delays * stride))
         self._warm_up()
 
     def data_sheet(self) -> tuple[str, dict]:
@@ -91,7 +97,31 @@ class ModelPredictiveController(DataSheet):
             "weights": f"outputs {settings.output_weight:g} 1/m², inputs {settings.input_weight}",
             "programs": f"{settings.iterations} per step, {settings.first_iterations} after a start",
             "state from": type(self.estimator).__name__,
-            "fallbacks": sum(self.fallbacks.values())}
+            "fallbacks": sum(self.fallbacks.values()),
+            "counted": ", ".join(f"{count} {name}" for name, count in sorted(self.counts.items())) or "nothing else"}
+
+    @property
+    def counts(self) -> Counter[str]:
+        """How often what happened since the last reset, by name; beside those of sampling and estimator: steps that
+        were "cut short" by the budget, or "late" all the same, and "arithmetic" that failed.
+        """
+        return self._counts + self._sampling.counts + getattr(self.estimator, "counts", Counter())
+
+    @property
+    def input_bounds(self) -> np.ndarray:
+        """(2, m), of the commands from now on; equal ones hold an actuator still.
+
+        Bounds that cannot be met at the allowed rate are met at once. Setting them raises ValueError, with both
+        numbers, where they are crossed or not finite.
+        """
+        return self.problem.input_bounds.copy()
+
+    @input_bounds.setter
+    def input_bounds(self, bounds) -> None:
+        self.problem = self.horizon.problem = self.problem.bounded(bounds)
+        self.safe_input = np.clip(self._safe, *self.problem.input_bounds)
+        self._last_input = np.clip(self._last_input, *self.problem.input_bounds)
+        self._prepared = None
 
     def _problem(self, input_bounds, output_names) -> TrackingProblem:
         settings, p, columns = self.settings, self.model.output_dim, self.task.columns(output_names)
@@ -109,48 +139,72 @@ class ModelPredictiveController(DataSheet):
                                settings.horizon, settings.period, constraints)
 
     def _warm_up(self) -> None:
+        self._budget = inf  # what is compiled takes its time
         self.reset()
         zero = np.zeros(self.model.output_dim)
-        for k in range(self._samples_per_step + 1):
+        for k in range(self._sampling.every + 1):
             self(k * self.timestep, zero)
             self.prepare()
         self.reset()
+        if self.settings.step_budget is not None:
+            self._budget = self.settings.step_budget * self.period
 
     def reset(self) -> None:
         """Forget measurements, plans and counts."""
         self.estimator.reset()
-        # the input before the measurement that comes next, and those since
-        self._applied = deque([self.safe_input] * (self._age + 1), maxlen=self._age + 1)
+        self._sampling.reset()
+        self.fallbacks: Counter[Status] = Counter()
+        self._counts: Counter[str] = Counter()
         self._last_input = self.safe_input
+        self._start_anew()
+
+    def _start_anew(self) -> None:
+        """Forget the robot's past, all but the input that it was told last."""
+        getattr(self.estimator, "forget", self.estimator.reset)()
+        # the input before the measurement that comes next, and those since
+        self._applied = deque([self._last_input] * (self._age + 1), maxlen=self._age + 1)
         self._plan: Plan | None = None
         self._planned_now, self._prepared = False, None
-        self._seen, self._repeats, self._input_then = None, 0, self.safe_input
-        self._sample = 0
-        self.fallbacks: Counter[Status] = Counter()
+        self._seen, self._repeats, self._input_then = None, 0, self._last_input
+        self.horizon.input_offset = self.horizon.output_offset = None
         self.solver.reset()
 
     def __call__(self, time: float, observation: np.ndarray) -> Command:
-        """time in s; observation (p,), m. Raises ValueError for an observation of another size."""
-        observation = np.array(observation, dtype=np.float64)
-        if observation.shape != (self.model.output_dim,):
-            raise ValueError(f"the observation has shape {observation.shape}; "
-                             f"expected ({self.model.output_dim},)")
-        self._watch_sensor(observation)
+        """time in s; observation (p,), m, whatever its values. Raises ValueError for one of another size."""
+        began = thread_time()
+        self._deadline = self.solver.deadline = began + self._budget
+        sample = self._sampling.take(time, observation)
+        if not sample.new:
+            self.fallbacks[Status.WRONG_TIME] += 1
+            return Command(self._last_input.copy(), fallback=Status.WRONG_TIME)
         # Overflow is no accident here: it is how a state far outside the model's range shows.
-        with np.errstate(over="ignore", invalid="ignore"):
-            self.estimator.measure(observation, self._applied[0])
-            due = self._sample % self._samples_per_step == 0
-            command = self._decide(time) if due else Command(self._last_input.copy(), held=True)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            try:
+                command = self._answered(sample)
+            except (ArithmeticError, np.linalg.LinAlgError):  # of a state or a measurement that no model knows
+                self._counts["arithmetic"] += 1
+                self._start_anew()
+                command = self._fall_back(sample.time, None, Status.NOT_FINITE)
         self._last_input = command.input.copy()
         self._applied.append(self._last_input)
-        self._sample += 1
+        self._counts["late"] += thread_time() - began > self._budget
         return command
+
+    def _answered(self, sample: Sample) -> Command:
+        if sample.anew:
+            self._start_anew()
+        for _ in range(sample.missed):
+            self.estimator.measure(np.full_like(sample.observation, np.nan), self._applied[0])
+            self._applied.append(self._last_input)
+        self._watch_sensor(sample.observation)
+        self.estimator.measure(sample.observation, self._applied[0])
+        return self._decide(sample.time) if sample.due else Command(self._last_input.copy(), held=True)
 
     def prepare(self) -> None:
         """Linearize and condense around the plan for the next step; to be called when the input has been sent."""
         self._prepared = None
         disturbed = self.horizon.input_offset is not None or self.horizon.output_offset is not None
-        if disturbed or self._plan is None or not self._planned_now or self._sample % self._samples_per_step:
+        if disturbed or self._plan is None or not self._planned_now or not self._sampling.due_next:
             return  # an estimated disturbance moves with the next measurement, and the linearization with it
         time, guess = self._plan.time + self.period, self._plan.shifted()
         reference = self.problem.reference_ahead(time)
@@ -203,7 +257,8 @@ class ModelPredictiveController(DataSheet):
         else:
             guess = self._plan.shifted(steps)
         reference = self.problem.reference_ahead(time)
-        continued = self._planned_now and steps == 1 and continues(reference, self._plan.reference, REFERENCE_CHANGE)
+        in_time = steps == 1 and abs(time - self._plan.time - self.period) < 0.1 * self.period
+        continued = self._planned_now and in_time and continues(reference, self._plan.reference, REFERENCE_CHANGE)
         iterations = self.settings.iterations
         if not continued:
             iterations = max(iterations, self.settings.first_iterations)
@@ -212,17 +267,18 @@ class ModelPredictiveController(DataSheet):
         prepared = None
         if continued and self._prepared is not None and abs(self._prepared[0] - time) < 0.1 * self.period:
             prepared = self._prepared[1]
-        return solve_scp(self.problem, self.horizon, state, guess, self.solver, time=time,
+        plan = solve_scp(self.problem, self.horizon, state, guess, self.solver, time=time,
                          reference=reference, last_input=self._last_input, max_iterations=iterations,
-                         tolerance=self.settings.tolerance, prepared=prepared)
+                         tolerance=self.settings.tolerance, prepared=prepared, deadline=self._deadline)
+        self._counts["cut short"] += plan.status is Status.ITERATION_LIMIT and plan.iterations < iterations
+        return plan
 
     def _steps_since_plan(self, time: float) -> int | None:
-        """Control steps since the last plan, or None where it says nothing about now."""
+        """Control steps since the last plan, the nearest number, or None where it says nothing about now."""
         if self._plan is None:
             return None
         steps = (time - self._plan.time) / self.period
-        inside = abs(steps - round(steps)) < 0.1 and 0 < round(steps) < self.problem.horizon
-        return round(steps) if inside else None
+        return round(steps) if 0.5 < steps < self.problem.horizon - 0.5 else None
 
     def _fall_back(self, time: float, plan: Plan | None, status: Status) -> Command:
         self.fallbacks[status] += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -121,6 +122,25 @@ class TrackingProblem:
         for bound in box:
             bound.setflags(write=False)
         return box
+
+    def bounded(self, bounds) -> TrackingProblem:
+        """The same problem in the same units under other bounds (2, m); equal ones are those of a dead actuator.
+
+        Raises ValueError, with both numbers, for bounds that are not finite or crossed, and for another shape.
+        """
+        bounds = np.array(bounds, dtype=np.float64)
+        if bounds.shape != self.input_bounds.shape:
+            raise ValueError(f"input_bounds has shape {bounds.shape}; expected {self.input_bounds.shape}: lowest and "
+                             "highest input")
+        for place, (lower, upper) in enumerate(bounds.T):
+            if not (np.isfinite(lower) and np.isfinite(upper) and lower <= upper):
+                raise ValueError(f"input {place} is bounded by {lower} and {upper}; expected finite numbers, the "
+                                 "lower one not above the upper one")
+        _ = self.input_scale, self.cost_scale  # the units of the first bounds stay
+        changed = copy.copy(self)
+        changed._set("input_bounds", bounds)
+        changed.__dict__.pop("_scaled_box", None)
+        return changed
 
     def scaled_bounds(self, last_input: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of v, each (N m,); those of v_0 also limit the change from `last_input` (m,)."""

@@ -16,6 +16,8 @@ from ssmr_torch.status import Status
 
 # A claim of success is refused when a recomputed residual exceeds the tolerance by this factor.
 RESIDUAL_FACTOR = 10.0
+# Entries of the cost beyond which, for a tolerance, the rounding of a residual alone exceeds what is accepted of it.
+EXCESS = RESIDUAL_FACTOR / np.finfo(np.float64).eps
 # Relative size of what rounding leaves of a residual, however tight the tolerance.
 ROUNDING = 1e-12
 
@@ -166,17 +168,30 @@ class Workspace(ABC):
         self.dim, self.rows = int(dim), int(rows)
         self.tolerance, self.max_iterations = float(tolerance), int(max_iterations)
 
+    # CPU time of this thread, as `time.thread_time` tells it, s, after which no further attempt shall begin
+    deadline = np.inf
+
     @abstractmethod
     def reset(self) -> None:
         """Forget the workspace: the same problems then give the same solutions again, to the last bit."""
 
     def solve(self, problem: QuadraticProgram) -> QPSolution:
-        """Never raises for the numbers in the problem; ValueError for a problem of another size."""
+        """Never raises for the numbers in the problem; ValueError for a problem of another size.
+
+        A cost so large that no solution can be told from another to the tolerance, as of a state far outside of the
+        model's range, is refused as OUT_OF_RANGE: solvers would spend all their iterations on it.
+        """
         if (problem.dim, problem.rows) != (self.dim, self.rows):
             raise ValueError(f"a problem of {problem.dim} variables and {problem.rows} rows; "
                              f"this workspace holds {self.dim} and {self.rows}")
         defect = problem.defect()
+        if defect is None and max(np.abs(problem.H).max(), np.abs(problem.g).max()) > EXCESS * self.tolerance:
+            defect = Status.OUT_OF_RANGE
         return self._solve(problem) if defect is None else QPSolution.none(problem, defect)
+
+    def explained(self, problem: QuadraticProgram) -> Status:
+        """Why nothing was found; within a deadline there is no time to ask, and it is the iteration limit."""
+        return problem.failure() if self.deadline == np.inf else Status.ITERATION_LIMIT
 
     @abstractmethod
     def _solve(self, problem: QuadraticProgram) -> QPSolution:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from time import perf_counter
+from time import perf_counter, thread_time
 
 import numpy as np
 
@@ -52,7 +52,8 @@ class Plan:
 
 def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, guess: np.ndarray, solver, *,
               time: float = 0.0, reference: np.ndarray | None = None, last_input: np.ndarray | None = None,
-              max_iterations: int = 20, tolerance: float = 1e-8, prepared: Condensed | None = None) -> Plan:
+              max_iterations: int = 20, tolerance: float = 1e-8, prepared: Condensed | None = None,
+              deadline: float = np.inf) -> Plan:
     """Gauss-Newton sequence of quadratic programs from the inputs `guess` (N, m) and the measured state (n,).
 
     time: of the first input, s. reference: (N, p) m, default the problem's own from there on. last_input:
@@ -61,6 +62,8 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     is. More iterations search along each step until the cost of the rollout falls enough [Armijo 1966]; they
     have converged when the decrease that the program promises is below `tolerance` times the cost.
     prepared: `horizon.condense` of this guess at a predicted state; the first program then needs no linearization.
+    deadline: CPU time of this thread, s, as `time.thread_time` tells it; a program that would not end before it, were it
+    as long as the longest so far, is not begun, and the plan has the status ITERATION_LIMIT.
     Pure but for the solver's workspace. Never raises for lack of convergence: the status says how it ended.
     """
     start = perf_counter()
@@ -79,7 +82,8 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
         cost = problem.cost(outputs, inputs, reference, times)
         if not np.isfinite(cost):
             status = Status.NOT_FINITE
-    while iterations < max_iterations and status is Status.ITERATION_LIMIT:
+    now, longest = (thread_time(), 0.0) if deadline < np.inf and max_iterations > 1 else (-np.inf, 0.0)
+    while iterations < max_iterations and status is Status.ITERATION_LIMIT and now + longest <= deadline:
         if iterations:
             point = horizon.condense(state, inputs, reference)
         program = _quadratic_program(problem, point, inputs, bounds, times)
@@ -100,6 +104,9 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
             status = Status.NOT_FINITE if max_iterations == 1 else Status.NOT_DESCENDING
             break
         inputs, states, outputs, cost = found
+        if now > -np.inf:
+            before, now = now, thread_time()
+            longest = max(longest, now - before)
     if max_iterations == 1 and status is Status.ITERATION_LIMIT:
         status = Status.SOLVED
     if len(states) <= len(inputs):  # a linear model's condensed problem holds the first state alone
