@@ -8,6 +8,9 @@ import numpy as np
 
 from ssmr_torch.control.measurement import RecordedRange
 
+# Samples before the window that are kept to bridge gaps in it.
+BEFORE = 6
+
 
 class Estimator(Protocol):
     """Called once for each sample, in order; one that was skipped comes as a missing one.
@@ -31,13 +34,15 @@ class ChartEstimator:
     model: with `encode`, `decode`, `state_scale`, `delays`, `input_dim`, `output_dim`. stride: measurements from one
     sample of the window to the next. Before the first measurement the robot is taken to have rested where it is. Values
     that are missing, or beyond the recorded range, are replaced in the window as soon as one that is neither comes:
-    straight between the two around them, or by the new one where the gap is longer than the window.
+    by the parabola through it, the last good one, and the one as long before that; by a straight line where so much is
+    not kept; and by the new value where the gap is longer than the window.
     """
 
     def __init__(self, model, stride: int):
         self.model, self.stride = model, int(stride)
         length = model.delays * self.stride
-        self._observations = np.empty((length + 1, model.output_dim))
+        self._observations = np.empty((length + 1 + (BEFORE if length else 0), model.output_dim))
+        self._first = len(self._observations) - length - 1
         self._inputs = np.empty((length, model.input_dim))
         self._range = RecordedRange(model)
         self.reset()
@@ -70,8 +75,11 @@ class ChartEstimator:
             rows, gap = self._observations[:, output], gaps[output]
             if gap + 2 > len(rows):
                 rows[:] = rows[-1]
-            else:
-                rows[-1 - gap:] = np.linspace(rows[-2 - gap], rows[-1], gap + 2)[1:]
+                continue
+            s, last = np.arange(1, gap + 1) / (gap + 1), rows[-2 - gap]
+            rows[-1 - gap:-1] = last + s * (rows[-1] - last)
+            if 2 * gap + 3 <= len(rows):
+                rows[-1 - gap:-1] -= 0.5 * s * (1.0 - s) * (rows[-1] - 2.0 * last + rows[-3 - 2 * gap])
         gaps = np.where(good, 0, np.minimum(gaps + 1, len(self._observations)))
         self._gaps = gaps if gaps.any() else None
 
@@ -79,7 +87,7 @@ class ChartEstimator:
         """Views of the delay window (n_d + 1, p), oldest first, and of the inputs (n_d, m) set at all samples but the
         newest.
         """
-        return self._observations[::self.stride], self._inputs[::self.stride]
+        return self._observations[self._first::self.stride], self._inputs[::self.stride]
 
     def state(self) -> tuple[np.ndarray, None, None]:
         return self.model.encode(*self.window()), None, None  # which is not finite where the window is not

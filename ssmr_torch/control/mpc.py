@@ -172,7 +172,9 @@ class ModelPredictiveController(DataSheet):
     def __call__(self, time: float, observation: np.ndarray) -> Command:
         """time in s; observation (p,), m, whatever its values. Raises ValueError for one of another size."""
         began = thread_time()
-        self._deadline = self.solver.deadline = began + self._budget
+        self._deadline = began + self._budget
+        if hasattr(self.solver, "deadline"):
+            self.solver.deadline = self._deadline
         sample = self._sampling.take(time, observation)
         if not sample.new:
             self.fallbacks[Status.WRONG_TIME] += 1

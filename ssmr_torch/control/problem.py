@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ssmr_torch.control.base import changed_bounds
 from ssmr_torch.control.condensing import clipped, tracking_cost
 from ssmr_torch.control.constraints import OutputConstraints
 from ssmr_torch.control.settings import PredictiveControlSettings
@@ -128,14 +129,7 @@ class TrackingProblem:
 
         Raises ValueError, with both numbers, for bounds that are not finite or crossed, and for another shape.
         """
-        bounds = np.array(bounds, dtype=np.float64)
-        if bounds.shape != self.input_bounds.shape:
-            raise ValueError(f"input_bounds has shape {bounds.shape}; expected {self.input_bounds.shape}: lowest and "
-                             "highest input")
-        for place, (lower, upper) in enumerate(bounds.T):
-            if not (np.isfinite(lower) and np.isfinite(upper) and lower <= upper):
-                raise ValueError(f"input {place} is bounded by {lower} and {upper}; expected finite numbers, the "
-                                 "lower one not above the upper one")
+        bounds = changed_bounds(bounds, self.input_bounds.shape)
         _ = self.input_scale, self.cost_scale  # the units of the first bounds stay
         changed = copy.copy(self)
         changed._set("input_bounds", bounds)

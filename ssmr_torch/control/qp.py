@@ -16,8 +16,8 @@ from ssmr_torch.status import Status
 
 # A claim of success is refused when a recomputed residual exceeds the tolerance by this factor.
 RESIDUAL_FACTOR = 10.0
-# Entries of the cost beyond which, for a tolerance, the rounding of a residual alone exceeds what is accepted of it.
-EXCESS = RESIDUAL_FACTOR / np.finfo(np.float64).eps
+# Entries of the cost beyond which the rounding of a residual alone exceeds what is accepted of it at a tolerance of 1e-6.
+LARGEST = RESIDUAL_FACTOR * 1e-6 / np.finfo(np.float64).eps
 # Relative size of what rounding leaves of a residual, however tight the tolerance.
 ROUNDING = 1e-12
 
@@ -185,7 +185,7 @@ class Workspace(ABC):
             raise ValueError(f"a problem of {problem.dim} variables and {problem.rows} rows; "
                              f"this workspace holds {self.dim} and {self.rows}")
         defect = problem.defect()
-        if defect is None and max(np.abs(problem.H).max(), np.abs(problem.g).max()) > EXCESS * self.tolerance:
+        if defect is None and max(np.abs(problem.H).max(), np.abs(problem.g).max()) > LARGEST:
             defect = Status.OUT_OF_RANGE
         return self._solve(problem) if defect is None else QPSolution.none(problem, defect)
 
