@@ -46,7 +46,8 @@ class ModelPredictiveController(DataSheet):
     and rate; `fallbacks` counts the reasons by Status, and `counts` what happened to time and measurements, see
     `Sampling`, `KalmanObserver`, and below. The time of a call places it among the samples: skipped ones are told to
     the estimator as missing, and where the time has jumped the controller begins anew from where the robot is.
-    `input_bounds` can be changed between steps without losing window, plan and observer. Everything is compiled and run once at construction.
+    `input_bounds` can be changed between steps without losing window, plan and observer. A controller can be copied and
+    pickled, and the copy gives the same commands, to the last bit. Everything is compiled and run once at construction.
     `prepare` may be called between two measurements: it linearizes and condenses around the shifted plan, and the next
     step only has to solve.
     Raises ValueError when a period is not a multiple of the timestep or sizes or names disagree, TypeError for a change

@@ -16,7 +16,7 @@ from ssmr_torch.status import Status
 
 # A claim of success is refused when a recomputed residual exceeds the tolerance by this factor.
 RESIDUAL_FACTOR = 10.0
-# Entries of the cost beyond which the rounding of a residual alone exceeds what is accepted of it at a tolerance of 1e-6.
+# Entries of the cost for which the rounding of a residual alone exceeds what is accepted of it at a tolerance of 1e-6.
 LARGEST = RESIDUAL_FACTOR * 1e-6 / np.finfo(np.float64).eps
 # Relative size of what rounding leaves of a residual, however tight the tolerance.
 ROUNDING = 1e-12

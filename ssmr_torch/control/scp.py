@@ -62,8 +62,8 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     is. More iterations search along each step until the cost of the rollout falls enough [Armijo 1966]; they
     have converged when the decrease that the program promises is below `tolerance` times the cost.
     prepared: `horizon.condense` of this guess at a predicted state; the first program then needs no linearization.
-    deadline: CPU time of this thread, s, as `time.thread_time` tells it; a program that would not end before it, were it
-    as long as the longest so far, is not begun, and the plan has the status ITERATION_LIMIT.
+    deadline: CPU time of this thread, s, as `time.thread_time` tells it; a program that would not end before it, if it
+    took as long as the longest so far, is not begun, and the plan has the status ITERATION_LIMIT.
     Pure but for the solver's workspace. Never raises for lack of convergence: the status says how it ended.
     """
     start = perf_counter()

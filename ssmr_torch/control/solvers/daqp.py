@@ -35,6 +35,14 @@ class DAQP(Workspace):
     def reset(self) -> None:
         self._workspace = None
 
+    def __getstate__(self) -> dict:
+        """DAQP's workspace cannot be copied: both the copy and the original start the next problem from nothing."""
+        self.reset()
+        return {name: value for name, value in self.__dict__.items() if name != "_library"}
+
+    def __setstate__(self, state: dict) -> None:
+        self.__dict__.update(state, _library=importlib.import_module("daqp"))
+
     def _solve(self, problem: QuadraticProgram) -> QPSolution:
         flag = self._load(problem)
         if flag >= 0:

@@ -73,7 +73,7 @@ class ProxQP(Workspace):
     def reset(self, tolerance: float | None = None) -> None:
         """As in `Workspace`; tolerance: of this start alone."""
         tolerance = self.tolerance if tolerance is None else tolerance
-        self._workspace, self._fresh = proxqp.dense.QP(self.dim, 0, self.rows, True), True
+        self._workspace, self._fresh, self._beginning = proxqp.dense.QP(self.dim, 0, self.rows, True), True, None
         settings = self._workspace.settings
         settings.eps_abs, settings.eps_rel = tolerance, 0.0
         # Its own certificates of infeasibility, at their usual tolerance, also condemn feasible problems.
@@ -83,6 +83,21 @@ class ProxQP(Workspace):
         settings.eps_duality_gap_abs, settings.eps_duality_gap_rel = tolerance, ROUNDING
         settings.default_mu_in = PENALTY
         settings.max_iter, settings.max_iter_in = min(self.max_iterations, OUTER), min(self.max_iterations, INNER)
+
+    def __getstate__(self) -> dict:
+        """Without the workspace, whose own pickle forgets its box: it is made again from its first problem."""
+        results = None if self._fresh else (self._workspace.results.x.copy(), self._workspace.results.z.copy())
+        kept = {name: value for name, value in self.__dict__.items() if name != "_workspace"}
+        return kept | {"_results": results, "_known": (None, None, None)}
+
+    def __setstate__(self, state: dict) -> None:
+        results = state.pop("_results")
+        self.__dict__.update(state)
+        beginning = self._beginning
+        self.reset()
+        if results is not None:
+            self._begin(beginning)
+            self._workspace.results.x, self._workspace.results.z = results
 
     def advance(self, variables: np.ndarray, rows: np.ndarray) -> None:
         """Warm starts: variable i begins where variables[i] (d,) of the last program ended, and the rows (r,) alike."""
@@ -128,14 +143,17 @@ class ProxQP(Workspace):
         arguments = (problem.H, problem.g + problem.H @ shift, None, None, problem.C, row_lower, row_upper, lower,
                      upper)
         if self._fresh:
-            self._workspace.init(*arguments)
-            self._fresh = False
+            self._begin(arguments)
             return shift
         if self.warm:
             # Its "warm start" also keeps the penalty of the last program, with which some then take 150 iterations.
             self._workspace.settings.initial_guess = proxqp.COLD_START_WITH_PREVIOUS_RESULT
         self._workspace.update(*arguments, update_preconditioner=False)
         return shift
+
+    def _begin(self, arguments: tuple) -> None:
+        self._workspace.init(*arguments)
+        self._beginning, self._fresh = arguments, False
 
     def _box(self, problem: QuadraticProgram) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Bounds around the middle of the box, and that middle; remembered for bounds that cannot change."""
