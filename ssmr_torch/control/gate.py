@@ -9,7 +9,7 @@ SIGMAS = 6.0
 # Outliers in a row after which the gate opens: it is the filter that is wrong then.
 MOST_IN_A_ROW = 3
 # How much of the largest innovation is remembered from one sample to the next, and what it is taken to be at first.
-MEMORY, AT_FIRST = 0.98, 1e4
+MEMORY, AT_FIRST = 0.98, 100.0
 
 
 class InnovationGate:

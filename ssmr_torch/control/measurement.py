@@ -29,15 +29,16 @@ def _numbers(observation, size: int) -> tuple[np.ndarray, bool]:
     if isinstance(observation, np.ma.MaskedArray):
         values, readable = _numbers(observation.data, size)
         return np.where(np.ma.getmaskarray(observation), np.nan, values), readable
+    numeric = not isinstance(observation, np.ndarray) or observation.dtype.kind in "fiub"
     try:
-        if getattr(observation, "dtype", None) is None or np.dtype(observation.dtype).kind in "fiub":
-            return np.array(observation, dtype=np.float64), True
+        if numeric:
+            return np.array(np.asarray(observation, dtype=np.float64)), True
     except (TypeError, ValueError, OverflowError, RuntimeError):
         pass  # not numbers alone: each is looked at below
     try:
-        values = np.array(observation, dtype=object)
-    except (TypeError, ValueError, RuntimeError):  # rows of several lengths, or what refuses to be an array
-        return np.full(getattr(observation, "shape", ()), np.nan), False
+        values = np.asarray(observation, dtype=object)
+    except (TypeError, ValueError, RuntimeError):  # what refuses to be an array
+        return np.full(tuple(getattr(observation, "shape", ())), np.nan), False
     return np.array([_number(value) for value in values.ravel()]).reshape(values.shape), False
 
 

@@ -273,7 +273,8 @@ class ModelPredictiveController(DataSheet):
         plan = solve_scp(self.problem, self.horizon, state, guess, self.solver, time=time,
                          reference=reference, last_input=self._last_input, max_iterations=iterations,
                          tolerance=self.settings.tolerance, prepared=prepared, deadline=self._deadline)
-        self._counts["cut short"] += plan.status is Status.ITERATION_LIMIT and plan.iterations < iterations
+        stopped = plan.status is Status.ITERATION_LIMIT and (plan.qp_status.success or not plan.iterations)
+        self._counts["cut short"] += stopped and plan.iterations < iterations
         return plan
 
     def _steps_since_plan(self, time: float) -> int | None:
