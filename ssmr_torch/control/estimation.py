@@ -53,8 +53,7 @@ class ChartEstimator:
 
     def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
         """The newest sample enters the window, the oldest leaves it."""
-        good = np.abs(observation - self._range.center) <= self._range.limit  # not where a value is missing
-        good &= np.isfinite(observation)
+        good = self._range.holds(observation)
         if not self._begun:
             self._observations[:], self._inputs[:] = observation, last_input
             self._begun = True

@@ -54,13 +54,13 @@ class RecordedRange:
 
         r_j = Σ_i max(|w_j(s_i e_i) − w_j(0)|, |w_j(−s_i e_i) − w_j(0)|),   s = state_scale,
 
-    at least `NARROWEST` times the widest. center w(0) (p,), limit `BEYOND` r (p,), both m; infinite where state_scale
-    is not known.
+    at least `NARROWEST` times the widest. center w(0) (p,), limit `BEYOND` r (p,), both m; the largest number there is
+    where state_scale is not known.
     """
 
     def __init__(self, model):
         scale = np.asarray(model.state_scale, dtype=np.float64)
-        self.center, self.limit = np.zeros(model.output_dim), np.full(model.output_dim, np.inf)
+        self.center, self.limit = np.zeros(model.output_dim), np.full(model.output_dim, np.finfo(np.float64).max)
         if not np.isfinite(scale).all():
             return
         with np.errstate(all="ignore"):
@@ -70,13 +70,13 @@ class RecordedRange:
         if np.isfinite(reach).all() and np.isfinite(center).all():
             self.center, self.limit = center, BEYOND * np.maximum(reach, NARROWEST * reach.max())
 
-    def beyond(self, observation: np.ndarray) -> np.ndarray:
-        """(p,), True for an output further away than any displacement can be; never for one that is missing."""
-        return np.abs(observation - self.center) > self.limit
+    def holds(self, observation: np.ndarray) -> np.ndarray:
+        """(p,), False for an output that is missing or further away than any displacement can be."""
+        return np.abs(observation - self.center) <= self.limit
 
     def complaint(self, observation: np.ndarray) -> str:
         """What is wrong with a first measurement that lies beyond, with both numbers."""
-        excess = np.where(self.beyond(observation), np.abs(observation - self.center) / self.limit, 0.0)
+        excess = np.where(np.isfinite(observation), np.abs(observation - self.center) / self.limit, 0.0)
         worst = int(np.argmax(excess))
         return (f"output {worst} is {1e3 * observation[worst]:.4g} mm at the first measurement; the model was trained "
                 f"within {1e3 * self.limit[worst] / BEYOND:.4g} mm. Expected displacements from rest: subtract the "

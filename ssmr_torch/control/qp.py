@@ -67,10 +67,15 @@ class QuadraticProgram:
         return 0 if self.C is None else len(self.C)
 
     def defect(self) -> Status | None:
-        """Why no solver should be asked: NaN, crossed bounds, H not semidefinite; None where all is well."""
-        found = kkt.soundness(*self._parts())
+        """Why no solver should be asked; None where all is well.
+
+        NaN, crossed bounds, H not semidefinite, or a cost so large that no solution can be told from another to a
+        tolerance of 1e-6, as of a state far outside of the model's range: solvers spend all their iterations on it.
+        """
+        found = kkt.soundness(*self._parts(), LARGEST)
         if found != kkt.SOUND:
-            return Status.NOT_FINITE if found == kkt.NOT_FINITE else Status.PRIMAL_INFEASIBLE
+            return {kkt.NOT_FINITE: Status.NOT_FINITE, kkt.CROSSED: Status.PRIMAL_INFEASIBLE}.get(
+                found, Status.OUT_OF_RANGE)
         if self.convex:
             return None
         try:
@@ -176,17 +181,11 @@ class Workspace(ABC):
         """Forget the workspace: the same problems then give the same solutions again, to the last bit."""
 
     def solve(self, problem: QuadraticProgram) -> QPSolution:
-        """Never raises for the numbers in the problem; ValueError for a problem of another size.
-
-        A cost so large that no solution can be told from another to the tolerance, as of a state far outside of the
-        model's range, is refused as OUT_OF_RANGE: solvers would spend all their iterations on it.
-        """
+        """Never raises for the numbers in the problem; ValueError for a problem of another size."""
         if (problem.dim, problem.rows) != (self.dim, self.rows):
             raise ValueError(f"a problem of {problem.dim} variables and {problem.rows} rows; "
                              f"this workspace holds {self.dim} and {self.rows}")
         defect = problem.defect()
-        if defect is None and max(np.abs(problem.H).max(), np.abs(problem.g).max()) > LARGEST:
-            defect = Status.OUT_OF_RANGE
         return self._solve(problem) if defect is None else QPSolution.none(problem, defect)
 
     def explained(self, problem: QuadraticProgram) -> Status:

@@ -74,10 +74,14 @@ class Sampling:
     def _judge(self, observation: np.ndarray, readable: bool) -> None:
         if not readable:
             self.counts["unreadable"] += 1
+        held = self.range.holds(observation)
+        if held.all():
+            self._first = False
+            return
         whole = np.isfinite(observation)
         if not whole.all():
             self.counts["missing"] += 1
-        if self.range.beyond(observation).any():
+        if (whole & ~held).any():
             self.counts[BEYOND_THE_RANGE] += 1
             if self._first:
                 log.warning(self.range.complaint(observation))

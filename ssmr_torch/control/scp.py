@@ -82,8 +82,8 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
         cost = problem.cost(outputs, inputs, reference, times)
         if not np.isfinite(cost):
             status = Status.NOT_FINITE
-    now, longest = (thread_time(), 0.0) if deadline < np.inf and max_iterations > 1 else (-np.inf, 0.0)
-    while iterations < max_iterations and status is Status.ITERATION_LIMIT and now + longest <= deadline:
+    budget = _Budget(deadline if max_iterations > 1 else np.inf)
+    while iterations < max_iterations and status is Status.ITERATION_LIMIT and budget.allows_another():
         if iterations:
             point = horizon.condense(state, inputs, reference)
         program = _quadratic_program(problem, point, inputs, bounds, times)
@@ -104,14 +104,25 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
             status = Status.NOT_FINITE if max_iterations == 1 else Status.NOT_DESCENDING
             break
         inputs, states, outputs, cost = found
-        if now > -np.inf:
-            before, now = now, thread_time()
-            longest = max(longest, now - before)
     if max_iterations == 1 and status is Status.ITERATION_LIMIT:
         status = Status.SOLVED
     if len(states) <= len(inputs):  # a linear model's condensed problem holds the first state alone
         states, outputs = horizon.rollout(state, inputs)
     return _plan(time, states, inputs, outputs, reference, cost, status, solution, iterations, start)
+
+
+class _Budget:
+    """Asked before every program, whether it would end before the deadline, if it took as long as the longest yet."""
+
+    def __init__(self, deadline: float):
+        self.deadline, self._longest, self._before = deadline, 0.0, np.inf
+
+    def allows_another(self) -> bool:
+        if self.deadline == np.inf:
+            return True
+        now = thread_time()
+        self._longest, self._before = max(self._longest, now - self._before), now
+        return now + self._longest <= self.deadline
 
 
 def _quadratic_program(problem: TrackingProblem, point: Condensed, inputs: np.ndarray,

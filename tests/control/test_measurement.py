@@ -47,7 +47,7 @@ def test_the_range_of_a_model_that_is_observed_in_full_is_that_of_its_states(ben
     known = RecordedRange(bench.oscillators())
     np.testing.assert_allclose(known.limit, BEYOND * 0.04)
     y = np.array([0.0, 0.079, -0.081, np.nan, np.inf, -np.inf])
-    np.testing.assert_array_equal(known.beyond(y), [False, False, True, False, True, True])
+    np.testing.assert_array_equal(known.holds(y), [True, True, False, False, False, False])
     said = known.complaint(np.array([0.0, 0.0, -0.3, 0.1, np.nan, 0.0]))
     assert "output 2 is -300 mm" in said and "within 40 mm" in said
 
