@@ -62,8 +62,7 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     is. More iterations search along each step until the cost of the rollout falls enough [Armijo 1966]; they
     have converged when the decrease that the program promises is below `tolerance` times the cost.
     prepared: `horizon.condense` of this guess at a predicted state; the first program then needs no linearization.
-    deadline: CPU time of this thread, s, as `time.thread_time` tells it; a program that would not end before it, if it
-    took as long as the longest so far, is not begun, and the plan has the status ITERATION_LIMIT.
+    deadline: CPU time, s, as of `time.thread_time`; no program begins that would not end before it (ITERATION_LIMIT).
     Pure but for the solver's workspace. Never raises for lack of convergence: the status says how it ended.
     """
     start = perf_counter()
@@ -72,10 +71,8 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     inputs = problem.admissible(np.asarray(guess, dtype=np.float64), last_input)
     bounds = problem.scaled_bounds(last_input)
     solution, status, iterations = None, Status.ITERATION_LIMIT, 0
-    if prepared is None:
-        point = horizon.condense(state, inputs, reference)
-    else:
-        point = horizon.moved(prepared, state, inputs, reference)
+    point = horizon.condense(state, inputs, reference) if prepared is None \
+        else horizon.moved(prepared, state, inputs, reference)
     states, outputs = point.states, point.outputs
     cost = np.nan
     if max_iterations > 1:  # a real-time iteration compares with nothing, and its program shows what is not finite
