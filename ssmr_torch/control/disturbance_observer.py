@@ -9,11 +9,9 @@ import numpy as np
 
 from ssmr_torch.control.base import whole_steps
 from ssmr_torch.control.estimation import ChartEstimator
+from ssmr_torch.control.gate import InnovationGate
 from ssmr_torch.lazy import found
 
-GATE = 36.0       # mean square of the innovation per output, in its own variance, from which a sample is an outlier
-CLOSED = 3        # samples in a row that the gate shuts out at most: what stays is no outlier
-FORGETTING = 0.98  # of the scale of the innovations, per sample
 BEYOND = 1.2      # times the recorded range: a state there which mispredicts as well is lost
 STRANGE = 10      # samples that it must do so
 SETTLING = 10.0   # s that the model is given to come to rest
@@ -44,8 +42,7 @@ class DisturbanceObserver:
 
     v: what acts on the robot. The first measurement is taken to be of a robot at rest under the v of then: what the
     model does not explain of it belongs to d, not to z, so that a payload does not put the state where no data are.
-    A sample whose innovation is `GATE` times too large, by its covariance and a scale that follows slowly, is an
-    outlier and left out, but never more than `CLOSED` in a row. A sample that is missing, not finite, only predicts.
+    An outlier, see `InnovationGate`, is left out. A sample that is missing, not finite, only predicts.
     A state beyond the recorded range that mispredicts as well, by `lost` in a watched output, starts anew from the
     chart of the last samples; d stays.
 
@@ -68,12 +65,18 @@ class DisturbanceObserver:
         self._chart = ChartEstimator(model, whole_steps("the model's window_timestep", model.window_timestep,
                                                         model.timestep))
         self._rests: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+        self._gate = InnovationGate()
         self.reset()
 
     def reset(self) -> None:
-        self._chart.reset()
         self.counts: Counter[str] = Counter()
-        self._begun, self._shut, self._scale, self._strange = False, 0, 1.0, 0
+        self.forget()
+
+    def forget(self) -> None:
+        """As `reset`, but counts stay."""
+        self._chart.reset()
+        self._gate.reset()
+        self._begun, self._strange = False, 0
         self._z, self._d = np.zeros(self.model.state_dim), np.zeros(self.model.output_dim)
 
     def rest(self, acting: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -115,13 +118,9 @@ class DisturbanceObserver:
         self._z, self._d = z.copy(), np.clip(observation - y, -self._limit, self._limit)
 
     def _update(self, error: np.ndarray) -> None:
-        size = float(error @ self._precision @ error) / len(error)
-        if not size <= GATE * self._scale and self._shut < CLOSED:
-            self._shut += 1
+        if not self._gate.passes(float(error @ self._precision @ error) / len(error)):
             self.counts["gated"] += 1
             return
-        self._shut = 0
-        self._scale = max(1.0, FORGETTING * self._scale + (1.0 - FORGETTING) * min(size, 100.0 * self._scale))
         n, correction = len(self._z), self._gain @ error
         self._z = self._z + correction[:n]
         self._d = np.minimum(np.maximum(self._d + correction[n:], -self._limit), self._limit)

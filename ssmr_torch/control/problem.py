@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from ssmr_torch.control.base import changed_bounds
 from ssmr_torch.control.condensing import clipped, tracking_cost
 from ssmr_torch.control.constraints import OutputConstraints
 from ssmr_torch.control.settings import PredictiveControlSettings
@@ -140,6 +142,18 @@ class TrackingProblem:
         for bound in box:
             bound.setflags(write=False)
         return box
+
+    def bounded(self, bounds) -> TrackingProblem:
+        """The same problem in the same units under other bounds (2, m); equal ones are those of a dead actuator.
+
+        Raises ValueError, with both numbers, for bounds that are not finite or crossed, and for another shape.
+        """
+        bounds = changed_bounds(bounds, self.input_bounds.shape)
+        _ = self.input_scale, self.cost_scale  # the units of the first bounds stay
+        changed = copy.copy(self)
+        changed._set("input_bounds", bounds)
+        changed.__dict__.pop("_scaled_box", None)
+        return changed
 
     def scaled_bounds(self, last_input: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of v, each (N m,); those of v_0 also limit the change from `last_input` (m,)."""

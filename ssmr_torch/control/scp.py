@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from time import perf_counter
+from time import perf_counter, thread_time
 
 import numpy as np
 
@@ -52,7 +52,8 @@ class Plan:
 
 def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, guess: np.ndarray, solver, *,
               time: float = 0.0, reference: np.ndarray | None = None, last_input: np.ndarray | None = None,
-              max_iterations: int = 20, tolerance: float = 1e-8, prepared: Condensed | None = None) -> Plan:
+              max_iterations: int = 20, tolerance: float = 1e-8, prepared: Condensed | None = None,
+              deadline: float = np.inf) -> Plan:
     """Gauss-Newton sequence of quadratic programs from the inputs `guess` (N, m) and the measured state (n,).
 
     time: of the first input, s. reference: (N, p) m, default the problem's own from there on. last_input:
@@ -61,6 +62,7 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     is. More iterations search along each step until the cost of the rollout falls enough [Armijo 1966]; they
     have converged when the decrease that the program promises is below `tolerance` times the cost.
     prepared: `horizon.condense` of this guess at a predicted state; the first program then needs no linearization.
+    deadline: CPU time, s, as of `time.thread_time`; no program begins that would not end before it (ITERATION_LIMIT).
     Pure but for the solver's workspace. Never raises for lack of convergence: the status says how it ended.
     """
     start = perf_counter()
@@ -69,17 +71,16 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     inputs = problem.admissible(np.asarray(guess, dtype=np.float64), last_input)
     bounds, horizon.last_input = problem.scaled_bounds(last_input), last_input
     solution, status, iterations = None, Status.ITERATION_LIMIT, 0
-    if prepared is None:
-        point = horizon.condense(state, inputs, reference)
-    else:
-        point = horizon.moved(prepared, state, inputs, reference)
+    point = horizon.condense(state, inputs, reference) if prepared is None \
+        else horizon.moved(prepared, state, inputs, reference)
     states, outputs = point.states, point.outputs
     cost = np.nan
     if max_iterations > 1:  # a real-time iteration compares with nothing, and its program shows what is not finite
         cost = problem.cost(outputs, inputs, reference, times, last_input)
         if not np.isfinite(cost):
             status = Status.NOT_FINITE
-    while iterations < max_iterations and status is Status.ITERATION_LIMIT:
+    budget = _Budget(deadline if max_iterations > 1 else np.inf)
+    while iterations < max_iterations and status is Status.ITERATION_LIMIT and budget.allows_another():
         if iterations:
             point = horizon.condense(state, inputs, reference)
         program = _quadratic_program(problem, point, inputs, bounds, times)
@@ -105,6 +106,20 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     if len(states) <= len(inputs):  # a linear model's condensed problem holds the first state alone
         states, outputs = horizon.rollout(state, inputs)
     return _plan(time, states, inputs, outputs, reference, cost, status, solution, iterations, start)
+
+
+class _Budget:
+    """Asked before every program, whether it would end before the deadline, if it took as long as the longest yet."""
+
+    def __init__(self, deadline: float):
+        self.deadline, self._longest, self._before = deadline, 0.0, np.inf
+
+    def allows_another(self) -> bool:
+        if self.deadline == np.inf:
+            return True
+        now = thread_time()
+        self._longest, self._before = max(self._longest, now - self._before), now
+        return now + self._longest <= self.deadline
 
 
 def _quadratic_program(problem: TrackingProblem, point: Condensed, inputs: np.ndarray,

@@ -37,6 +37,8 @@ class PredictiveControlSettings(Settings):
     observer: (model at timestep, input range) → `Estimator`, such as a partial `KalmanObserver`; None: the chart.
     measurement_delay: s, a whole number of timesteps, by which measurements are old; the model bridges it.
     frozen_after: so many measurements, equal to the last bit while the input changed, are a frozen sensor; 0: never.
+    step_budget: share of the period that a step may compute, CPU time; no further program or attempt begins that would
+    not end within it, and the best plan so far, or the fallback, counts. None: no limit.
     qp: proxqp, daqp, qpsolvers:NAME, or package.module:Class, see `solver_named`.
 
     Raises ValueError for a number that makes no sense, or a count that is not whole; TypeError for a name that is none
@@ -68,6 +70,7 @@ class PredictiveControlSettings(Settings):
     approach: float = 0.0
     measurement_delay: float = 0.0
     frozen_after: int = 5
+    step_budget: float | None = 0.5
     qp: str = "proxqp"
 
     def __post_init__(self):
@@ -78,6 +81,7 @@ class PredictiveControlSettings(Settings):
             self._set(name, positive(name, getattr(self, name), unit))
         for name, unit in (("terminal_weight", "1/m²"), ("measurement_delay", "s"), ("approach", "s")):
             self._set(name, non_negative(name, getattr(self, name), unit))
+        self._set("step_budget", positive_or_none("step_budget", self.step_budget))
         self._set("input_weight", positive_or_none("input_weight", self.input_weight))
         self._set("input_rate", positive_or_none("input_rate", self.input_rate, "input unit/s"))
         self._set("huber", positive_or_none("huber", self.huber, "m"))
