@@ -23,7 +23,7 @@ def main(config, directory):
                           settings=instantiate(config.settings))
     except SafetyStop as stop:
         raise SystemExit(f"commission: {stop} The run so far is kept in {directory / 'stopped'}") from stop
-    left = "" if len(done) == len(STEPS) else f"; {STEPS[len(done)]} is next, by the same command with hydra.run.dir={directory}"
+    left = "" if len(done) == len(STEPS) else f"; the same command with hydra.run.dir={directory} goes on"
     print(f"\n{len(done)} of {len(STEPS)} steps are confirmed{left}\n{directory / REPORT}")
     save_result(directory, {"confirmed": float(len(done))})
 

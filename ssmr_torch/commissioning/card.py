@@ -21,16 +21,19 @@ LIMITS = ("displacement_limit", "rate_limit", "blind_limit", "ramp")  # may chan
 
 @dataclass(frozen=True)
 class BenchCard:
-    """What the person at the bench says of a robot; the fields are the keys of the YAML file, see docs/commissioning.md.
+    """What the person at the bench says of a robot; the fields are the keys of the YAML file, see
+    docs/commissioning.md.
 
     displacement_limit: m, of every output.   rate_limit: m/s, of every output. Beyond either everything stops.
-    blind_limit: s without a measurement, after which everything stops.   ramp: s, from any input back to the neutral one.
+    blind_limit: s without a measurement, after which everything stops.   ramp: s, from any input back to the neutral
+    one.
     name, outputs, inputs: as the robot shall say them; where none are given, as it does.
-    bounds: (2, m), within those of the robot; None: the robot's.   neutral: (m,), the input under which the robot is left
-    alone; None: the robot's own, else the admissible one nearest to zero.
+    bounds: (2, m), within those of the robot; None: the robot's.   neutral: (m,), the input under which the robot is
+    left alone; None: the robot's own, else the admissible one nearest to zero.
     settle: s under the neutral input before a run begins; None: 0 where the robot rests under it by itself, else 3.
     tracked: two outputs in which the circles lie; none: those that reach furthest to all sides.
-    expected: input → output that it shall move, with its sign, such as {left: +tip_x}; none: as the names say, if they do.
+    expected: input → output that it shall move, with its sign, such as {left: +tip_x}; none: as the names say, if they
+    do.
     Raises ValueError for numbers that make no sense.
     """
 
@@ -72,15 +75,17 @@ class BenchCard:
 
 
 def read_bench_card(path: str | Path) -> BenchCard:
-    """The card in a YAML file. Raises FileNotFoundError, and ValueError that names the key or the line that is wrong."""
+    """The card in a YAML file. Raises FileNotFoundError, and ValueError that names the key or the line that is
+    wrong.
+    """
     return described(path, BenchCard, PAGE)
 
 
 def fitted(card: BenchCard, plant: Plant) -> BenchCard:
     """The card with everything that it leaves to the robot.
 
-    Raises ValueError where card and robot disagree: names, bounds wider than the robot's, a neutral input that is out of
-    bounds, tracked or expected outputs that do not exist.
+    Raises ValueError where card and robot disagree: names, bounds wider than the robot's, a neutral input that is out
+    of bounds, tracked or expected outputs that do not exist.
     """
     for what, said, has in (("name", card.name and [card.name], [plant.name]),
                             ("outputs", card.outputs, plant.output_names), ("inputs", card.inputs, plant.input_names)):
@@ -114,8 +119,8 @@ def _bounds(card: BenchCard, plant: Plant) -> np.ndarray:
         return own
     bounds = _array("bounds", card.bounds, own.shape, f"two rows of {own.shape[1]} numbers, lowest and highest")
     if not (bounds[0] < bounds[1]).all() or (bounds[0] < own[0]).any() or (bounds[1] > own[1]).any():
-        raise ValueError(f"the card's bounds are {bounds.tolist()}; expected the lowest below the highest, within those "
-                         f"of the robot, {own.tolist()}")
+        raise ValueError(f"the card's bounds are {bounds.tolist()}; expected the lowest below the highest, within "
+                         f"those of the robot, {own.tolist()}")
     return bounds
 
 

@@ -31,8 +31,8 @@ def channel_faults(answers: Sequence[StepAnswer], expected: Mapping[str, str], o
     """Dead inputs, reversed ones, swapped pairs, and inputs that move something else; what is expected of none is not
     judged.
     """
-    faults = [f"{answer.input} is dead: a step of {answer.size:.3g} moved nothing beyond the noise; see cable, valve or "
-              "amplifier" for answer in answers if answer.output is None]
+    faults = [f"{answer.input} is dead: a step of {answer.size:.3g} moved nothing beyond the noise; see cable, valve "
+              "or amplifier" for answer in answers if answer.output is None]
     moved = {answer.input: _moved(answer, expected, outputs) for answer in answers
              if answer.output is not None and answer.input in expected}
     wrong = [name for name in moved if moved[name] != expected[name]]
@@ -41,7 +41,7 @@ def channel_faults(answers: Sequence[StepAnswer], expected: Mapping[str, str], o
         other = next((each for each in wrong if expected[each] == moved[name] and expected[name] == moved[each]), None)
         if other is not None:
             wrong.remove(other)
-            faults.append(f"{name} and {other} are swapped: {name} moves {moved[name]} and {other} moves {moved[other]}; "
+            faults.append(f"{name} and {other} are swapped: {name} moves {moved[name]}, {other} moves {moved[other]}; "
                           "exchange the two channels")
         elif moved[name][1:] == expected[name][1:]:
             faults.append(f"{name} is reversed: it moves {moved[name]}, expected {expected[name]}; turn its sign")
@@ -66,11 +66,14 @@ def channels_said(answers: Sequence[StepAnswer], expected: Mapping[str, str], ou
     for answer in answers:
         gain = answer.gain
         shown = [column for column in np.argsort(-np.abs(gain)) if abs(gain[column]) >= LIKE * np.abs(gain).max()][:3]
-        moves = ", ".join(f"{outputs[column]} {1e3 * gain[column]:+.3g}" for column in shown) if answer.output else "nothing"
+        moves = ", ".join(f"{outputs[column]} {1e3 * gain[column]:+.3g}" for column in shown)
+        moves = moves if answer.output else "nothing"
         delay = "–" if answer.delay_s is None else f"{1e3 * answer.delay_s:.3g}"
-        settles = "–" if answer.output is None else "> held" if answer.settling_s is None else f"{answer.settling_s:.2f}"
+        settles = "> held" if answer.settling_s is None else f"{answer.settling_s:.2f}"
+        settles = settles if answer.output else "–"
         asked = f"{expected.get(answer.input, '–')} | " if expected else ""
-        rows.append(f"| {answer.input} | {answer.size:.3g} | {moves} | {asked}{delay} | {settles} | {answer.loudness:.3g} |")
+        rows.append(f"| {answer.input} | {answer.size:.3g} | {moves} | {asked}{delay} | {settles} | "
+                    f"{answer.loudness:.3g} |")
     return "\n".join(rows)
 
 

@@ -27,7 +27,9 @@ def reach(data: TrajectoryDataset, outputs: Sequence[str], centre: np.ndarray) -
 
 
 def tracked_outputs(data: TrajectoryDataset, rest: np.ndarray) -> tuple[str, str]:
-    """The two outputs in which the robot reaches furthest to all sides of `rest` (p,), m. Raises ValueError for one alone."""
+    """The two outputs in which the robot reaches furthest to all sides of `rest` (p,), m. Raises ValueError for one
+    alone.
+    """
     names = data.output_names
     if len(names) < 2:
         raise ValueError(f"the robot has the outputs {list(names)}; a circle needs two")
@@ -43,8 +45,8 @@ def circle_about(centre: np.ndarray, radius: float, lap: float, laps: int, outpu
     θ is that of `ramped_phase`, with ramps of a quarter of a lap. Raises ValueError for a radius that is not positive.
     """
     if not radius > 0:
-        raise ValueError(f"the radius of {name!r} is {radius} m; expected a positive length: the recordings reach to one "
-                         "side only, so name two other outputs as tracked in the card")
+        raise ValueError(f"the radius of {name!r} is {radius} m; expected a positive length: the recordings reach to "
+                         "one side only, so name two other outputs as tracked in the card")
     phase, turning = ramped_phase(2 * np.pi * laps, 2 * np.pi / lap, 0.25 * lap)
 
     def path(time: np.ndarray) -> np.ndarray:

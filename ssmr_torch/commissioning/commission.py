@@ -18,7 +18,7 @@ from ssmr_torch.commissioning.gathering import gather, recorded_share
 from ssmr_torch.commissioning.guard import GuardedPlant, SafetyStop
 from ssmr_torch.commissioning.noise import measure_noise, noise_faults, noise_said
 from ssmr_torch.commissioning.report import FIGURES, TITLES, written
-from ssmr_torch.commissioning.steps import StepAnswer, measure_steps
+from ssmr_torch.commissioning.steps import measure_steps
 from ssmr_torch.data.recorded import COMPLETE
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.settings import Settings, positive, whole
@@ -65,12 +65,12 @@ def commission(plant: Plant, card: BenchCard | str | Path, directory: str | Path
     plant: any `Plant`, such as `plants.RemotePlant`.   card: a `BenchCard`, or the file of one.
     excitation: (plant, directory=, workers=) → dataset; None: excitation=five_minutes of the configuration.
     confirm: "ask", "yes", or (step, text, faults) → bool; False ends the call, and the step is not recorded as done.
-    design: (kind, data, task, bounds) → (controller, report); None: `ssmr_torch.design`.   fit: (data, kind) → model with
-    `save(folder)`; None: `ssmr_torch.fit`.   changes: of the settings, by name.
+    design: (kind, data, task, bounds) → (controller, report); None: `ssmr_torch.design`.   fit: (data, kind) → model
+    with `save(folder)`; None: `ssmr_torch.fit`.   changes: of the settings, by name.
 
-    Returns the names of the confirmed steps; all is done when these are STEPS. Raises ValueError for a card that does not
-    fit the robot or the directory, SafetyStop when a limit is exceeded in any step but the collection, which offers smaller
-    inputs. However it ends, the input goes back to neutral.
+    Returns the names of the confirmed steps; all is done when these are STEPS. Raises ValueError for a card that does
+    not fit the robot or the directory, SafetyStop when a limit is exceeded in any step but the collection, which
+    offers smaller inputs. However it ends, the input goes back to neutral.
     """
     card = fitted(card if isinstance(card, BenchCard) else read_bench_card(card), plant)
     work = Commissioning(plant, card, BenchDirectory(directory), confirmation(confirm), excitation or _five_minutes(),
@@ -120,12 +120,14 @@ class Commissioning:
         self.directory.write(REPORT, written(self.plant.name, self.directory.confirmed(), present))
 
     def _next(self, step: str) -> str:
-        limits = (f"It stops beyond {1e3 * self.card.displacement_limit:.3g} mm or {self.card.rate_limit:.3g} m/s.")
-        what = {"noise": f"the neutral input {self.card.neutral} is held for {self.settings.rest_duration:g} s.",
-                "steps": "each input makes small steps, one after the other.", "collection": "the robot moves widely for "
-                "some minutes.", "slow circle": "the controller draws a circle, slowly.",
-                "fast circle": "the controller draws the circle fast."}
-        return f"Next, {TITLES[step].lower()}: " + (f"{what[step]} {limits}" if step in what else "the robot does not move.")
+        limits = f"It stops beyond {1e3 * self.card.displacement_limit:.3g} mm or {self.card.rate_limit:.3g} m/s."
+        moves = {"noise": f"the neutral input {self.card.neutral} is held for {self.settings.rest_duration:g} s.",
+                 "steps": "each input makes small steps, one after the other.",
+                 "collection": "the robot moves widely for some minutes.",
+                 "slow circle": "the controller draws a circle, slowly.",
+                 "fast circle": "the controller draws the circle fast."}
+        what = f"{moves[step]} {limits}" if step in moves else "the robot does not move."
+        return f"Next, {TITLES[step].lower()}: {what}"
 
     def _card(self) -> tuple[str, list]:
         return f"```yaml\n{self.card.text()}```", []
@@ -163,9 +165,10 @@ class Commissioning:
         stops, seconds = data.provenance["stops"], sum(run.length for run in data) * data.timestep
         held = [f"it was stopped at {100 * stop['share']:.3g} %: {stop['reason']}" for stop in stops]
         low, high = data.extremes()[0]
-        furthest = ", ".join(f"{name} {1e3 * a:.3g} … {1e3 * b:.3g}" for name, a, b in zip(data.output_names, low, high))
-        return "\n\n".join([f"{len(data)} runs, {seconds / 60:.2g} min, with {100 * data.provenance['share']:.3g} % of the "
-                            f"input range; mm: {furthest}.", *held]), []
+        spans = zip(data.output_names, 1e3 * low, 1e3 * high)
+        furthest = ", ".join(f"{name} {a:.3g} … {b:.3g}" for name, a, b in spans)
+        share = f"{100 * data.provenance['share']:.3g} % of the input range"
+        return "\n\n".join([f"{len(data)} runs, {seconds / 60:.2g} min, with {share}; mm: {furthest}.", *held]), []
 
     def _check(self) -> tuple[str, list]:
         from ssmr_torch.face import check
@@ -174,9 +177,8 @@ class Commissioning:
         self.directory.write("check.txt", f"{report}\n")
         if self.settings.figures:
             report.figures(self.directory.path)
-        counts = report.counts()
-        return f"```\n{report}\n```", [f"{each.subject}: {each.said} {each.remedy}".rstrip(". ") for each in report.findings
-                                       if each.severity == "missing"] if counts["missing"] else []
+        missing = [each for each in report.findings if each.severity == "missing"]
+        return f"```\n{report}\n```", [f"{each.subject}: {each.said} {each.remedy}".rstrip(". ") for each in missing]
 
     def _fit(self) -> tuple[str, list]:
         model = self.fit(self.directory.trajectories(), self.settings.model)
@@ -209,10 +211,10 @@ class Commissioning:
         found = closed_loop_metrics(record)
         faults = [f"the error of {1e3 * found['rmse']:.3g} mm is more than half of the radius"] \
             if found["rmse"] > 0.5 * radius else []
-        return (f"{about}\n\nRMSE **{1e3 * found['rmse']:.3g} mm**, {100 * found['rmse'] / radius:.3g} % of the radius; at "
-                f"most {1e3 * found['max_error']:.3g} mm; {found['fallbacks']:.0f} fallbacks of "
-                f"{int(np.isfinite(record.solve_time).sum())} decisions, {1e3 * found['solve_time_p99']:.2g} ms (99 %)."), \
-            faults
+        decisions = int(np.isfinite(record.solve_time).sum())
+        return (f"{about}\n\nRMSE **{1e3 * found['rmse']:.3g} mm**, {100 * found['rmse'] / radius:.3g} % of the radius; "
+                f"at most {1e3 * found['max_error']:.3g} mm; {found['fallbacks']:.0f} fallbacks of {decisions} "
+                f"decisions, {1e3 * found['solve_time_p99']:.2g} ms each (99 %)."), faults
 
     def _circle(self, name: str, lap: float) -> tuple[Task, str, float]:
         """The task, what is to be said of it, and the radius, m."""
@@ -223,10 +225,10 @@ class Commissioning:
         radius, noise = self.settings.share_of_reach * most, self._std()[columns].max()
         if radius < FEWEST * noise:
             raise ValueError(f"the circle in {list(outputs)} would have a radius of {1e3 * radius:.3g} mm with "
-                             f"{1e3 * noise:.2g} mm of noise; expected {FEWEST} times the noise or more: name two outputs "
-                             "that move to all sides as tracked in the card")
-        about = (f"Radius {1e3 * radius:.3g} mm in {outputs[0]} and {outputs[1]}, {100 * self.settings.share_of_reach:.3g} % "
-                 f"of the reach of {1e3 * most:.3g} mm; {lap:g} s a lap.")
+                             f"{1e3 * noise:.2g} mm of noise; expected {FEWEST} times the noise or more: name two "
+                             "outputs that move to all sides as tracked in the card")
+        about = (f"Radius {1e3 * radius:.3g} mm in {outputs[0]} and {outputs[1]}, "
+                 f"{100 * self.settings.share_of_reach:.3g} % of the reach of {1e3 * most:.3g} mm; {lap:g} s a lap.")
         return circle_about(rest[columns], radius, lap, self.settings.laps, outputs, name), about, radius
 
     def _controller(self, task):
@@ -237,7 +239,8 @@ class Commissioning:
         return np.array(self.directory.read_json("noise.json")["std_m"])
 
     def _guard(self) -> GuardedPlant:
-        return GuardedPlant(self.plant, self.card, noisy=self.directory.has("noise.json") and bool((self._std() > 0).all()))
+        noisy = self.directory.has("noise.json") and bool((self._std() > 0).all())
+        return GuardedPlant(self.plant, self.card, noisy=noisy)
 
     @contextmanager
     def _moving(self, step: str) -> Iterator[GuardedPlant]:

@@ -17,8 +17,8 @@ def ask(step: str, text: str, faults: Sequence[str]) -> bool:
         try:
             answer = input(f"{step}: confirm? [y/n] ").strip().lower()
         except EOFError as error:
-            raise ValueError("confirm is ask, but nobody answers at the terminal; start it there, or take confirm=yes") \
-                from error
+            raise ValueError("confirm is ask, but nobody answers at the terminal; start it there, or take "
+                             "confirm=yes") from error
         if answer in ("y", "yes", "n", "no"):
             return answer[0] == "y"
 
@@ -40,8 +40,8 @@ def confirmation(confirm: str | Confirm) -> Confirm:
         return confirm
     if confirm in CONFIRMATIONS:
         return CONFIRMATIONS[confirm]
-    raise ValueError(f"confirm is {confirm!r}; expected {' or '.join(CONFIRMATIONS)}, or a function (step, text, faults) "
-                     "→ bool")
+    raise ValueError(f"confirm is {confirm!r}; expected {' or '.join(CONFIRMATIONS)}, or a function (step, text, "
+                     "faults) → bool")
 
 
 @contextmanager

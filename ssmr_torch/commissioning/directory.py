@@ -53,8 +53,8 @@ class BenchDirectory:
     def read_json(self, name: str) -> dict | list:
         path = self.path / name
         if not path.is_file():
-            raise FileNotFoundError(f"no {name} in {self.path}, though its step is confirmed; remove {PROGRESS} to begin "
-                                    "anew")
+            raise FileNotFoundError(f"no {name} in {self.path}, though its step is confirmed; remove {PROGRESS} to "
+                                    "begin anew")
         return json.loads(path.read_text())
 
     def has(self, name: str) -> bool:
@@ -100,7 +100,9 @@ class BenchDirectory:
         return self.path / RUNS / f"{share:.4f}"
 
     def gathered(self, plant: Plant) -> list[Trajectory]:
-        """The finished runs of all shares, those of the largest first, their names after the share where it is not 1."""
+        """The finished runs of all shares, those of the largest first, their names after the share where it is not
+        1.
+        """
         found = []
         for folder in sorted((self.path / RUNS).glob("*"), reverse=True):
             share = float(folder.name)
@@ -136,4 +138,5 @@ def dataset_of(plant: Plant, runs: Sequence[Trajectory], provenance: dict) -> Tr
     """Runs of this plant as a dataset; the plant's neutral input stands in the provenance."""
     own = {"source": "commissioning", "package": f"ssmr_torch {__version__}", "robot": plant.name,
            "neutral_input": np.asarray(plant.neutral_input).tolist()}
-    return TrajectoryDataset(runs, plant.rest, plant.output_names, plant.input_names, plant.input_unit, own | provenance)
+    return TrajectoryDataset(runs, plant.rest, plant.output_names, plant.input_names, plant.input_unit,
+                             own | provenance)

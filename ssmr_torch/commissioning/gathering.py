@@ -19,8 +19,9 @@ def gather(plant: GuardedPlant, excitation: Callable, directory: BenchDirectory,
     """All runs of the excitation, in trajectories.h5; what a kill left is taken up, run by run.
 
     excitation: (plant, directory, workers) → dataset, such as `data.collection.collect` with its settings.
-    share: of the way from the neutral input to the bounds, that the inputs use at first. A stop keeps the finished runs, and
-    the stopped one aside, marked; `go_on`, asked with what happened, lets the rest be recorded with 75 % of the share.
+    share: of the way from the neutral input to the bounds, that the inputs use at first. A stop keeps the finished
+    runs, and the stopped one aside, marked; `go_on`, asked with what happened, lets the rest be recorded with 75 % of
+    the share.
     Returns None where it does not. Raises SafetyStop when the share would fall below 5 %.
     """
     if directory.has(COMPLETE):

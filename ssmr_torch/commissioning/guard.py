@@ -26,9 +26,9 @@ class GuardedPlant(PlantSheet):
     card: `fitted` to the plant.   share: of what lies between the neutral input and the bounds, that inputs may use.
     noisy: whether two measurements are never equal to the last bit, so that equal ones tell of a frozen sensor.
 
-    A sample is judged by the median of the last three, so that a single wrong one stops nothing; samples that are missing,
-    or repeat the last one, are left out. Stops: an output beyond displacement_limit; one that moves faster than rate_limit;
-    no measurement for blind_limit s; the same for as long from a noisy sensor while an input moved.
+    A sample is judged by the median of the last three, so that a single wrong one stops nothing; samples that are
+    missing, or repeat the last one, are left out. Stops: an output beyond displacement_limit; one that moves faster
+    than rate_limit; no measurement for blind_limit s; the same for as long from a noisy sensor while an input moved.
     Then, and by `relax`, the input goes to neutral in `ramp` s. `reset` goes to rest, then holds the neutral input for
     `settle` s. `step` and `reset` raise SafetyStop; the run so far is in `run`.
     """
@@ -109,7 +109,8 @@ class GuardedPlant(PlantSheet):
         bad = ~np.isfinite(observation).all(axis=1)
         good = np.maximum.accumulate(np.where(bad, 0, np.arange(len(bad))))
         inputs = np.array([*self._inputs, self._applied])
-        return Trajectory(self.timestep * np.arange(len(bad)), np.nan_to_num(observation[good]), inputs, name=name, **use)
+        time = self.timestep * np.arange(len(bad))
+        return Trajectory(time, np.nan_to_num(observation[good]), inputs, name=name, **use)
 
     def _begin(self, observation: np.ndarray) -> None:
         self.stopped = ""

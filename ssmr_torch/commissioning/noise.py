@@ -14,9 +14,10 @@ MISSING, JITTER, DRIFT = 0.05, 0.25, 0.01  # shares of samples, timestep and dis
 def measure_noise(plant: GuardedPlant, duration: float, seed: int = 0) -> dict:
     """Hold the neutral input for `duration` s.
 
-    Per output: std_m of the white noise about a straight line; drift_m_s, its slope, with drift_error_m_s; rest_m, where
-    it lies. missing, held: shares of samples that did not come, or repeat the last one to the last digit of a sensor with
-    noise. jitter: largest deviation of a sampling interval by the robot's own clock, in timesteps; None where it has none.
+    Per output: std_m of the white noise about a straight line; drift_m_s, its slope, with drift_error_m_s; rest_m,
+    where it lies. missing, held: shares of samples that did not come, or repeat the last one to the last digit of a
+    sensor with noise. jitter: largest deviation of a sampling interval by the robot's own clock, in timesteps; None
+    where it has none.
     """
     samples = [plant.reset(seed)]
     stamps = [plant.stamp]
@@ -53,13 +54,14 @@ def noise_faults(noise: dict, plant: GuardedPlant) -> list[str]:
     rest, drift = np.array(noise["rest_m"]), np.array(noise["drift_m_s"])
     far = int(np.argmax(np.abs(rest)))
     if abs(rest[far]) > max(APART * limit, 5 * noise["std_m"][far]):
-        faults.append(f"{names[far]} is {1e3 * rest[far]:.3g} mm from its zero under the neutral input; the robot should "
-                      "measure its displacement from there")
+        faults.append(f"{names[far]} is {1e3 * rest[far]:.3g} mm from its zero under the neutral input; the robot "
+                      "should measure its displacement from there")
     certain = np.abs(drift) > 4 * np.array(noise["drift_error_m_s"])
     moved = np.where(certain, np.abs(drift) * noise["duration_s"], 0.0)
     if moved.max() > DRIFT * limit:
-        faults.append(f"{names[int(np.argmax(moved))]} drifts by {1e3 * moved.max():.3g} mm in {noise['duration_s']:.3g} s "
-                      "at rest; let the robot come to rest, or give the card a longer settle")
+        faults.append(f"{names[int(np.argmax(moved))]} drifts by {1e3 * moved.max():.3g} mm in "
+                      f"{noise['duration_s']:.3g} s at rest; let the robot come to rest, or give the "
+                      "card a longer settle")
     lost = noise["missing"] + noise["held"]
     if lost > MISSING:
         faults.append(f"{100 * lost:.2g} % of the samples are missing or repeat the last; expected less than "
@@ -78,5 +80,5 @@ def noise_said(noise: dict, plant: GuardedPlant) -> str:
                                                       noise["drift_error_m_s"], noise["rest_m"])]
     clock = "the robot tells no clock of its own" if noise["jitter"] is None else \
         f"intervals are off by {100 * noise['jitter']:.2g} % of a timestep at most"
-    return "\n".join([*rows, "", f"{noise['duration_s']:.3g} s under the neutral input: {100 * noise['missing']:.2g} % of "
-                      f"the samples missing, {100 * noise['held']:.2g} % repeated; {clock}."])
+    lost = f"{100 * noise['missing']:.2g} % of the samples missing, {100 * noise['held']:.2g} % repeated"
+    return "\n".join([*rows, "", f"{noise['duration_s']:.3g} s under the neutral input: {lost}; {clock}."])

@@ -112,5 +112,6 @@ def _hold(plant: GuardedPlant, u: np.ndarray, duration: float) -> np.ndarray:
 
 def _middle(rows: np.ndarray) -> np.ndarray:
     if not np.isfinite(rows).all(axis=1).any():
-        raise ValueError(f"none of {len(rows)} measurements arrived; expected most of them: see why the sensors are silent")
+        raise ValueError(f"none of {len(rows)} measurements arrived; expected most of them: see why the sensors are "
+                         "silent")
     return np.nanmean(rows, axis=0)

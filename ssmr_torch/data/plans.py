@@ -138,10 +138,11 @@ def refuse_repeated_names(plans: Sequence[RecordingPlan]) -> None:
 def described_plant(plant: Plant) -> dict:
     """What an observation depends on beside the inputs."""
     own = {} if getattr(plant, "neutral_input", None) is None else {"neutral_input": neutral_input(plant).tolist()}
-    return own | {"class": _path(plant), "timestep": plant.timestep, "input_bounds": np.asarray(plant.input_bounds).tolist(),
-            "output_names": list(plant.output_names), "input_names": list(plant.input_names),
-            "rest": np.asarray(plant.rest).tolist(), "parameters": getattr(plant, "parameters", {}),
-            "origin": getattr(plant, "origin", {})}
+    return own | {
+        "class": _path(plant), "timestep": plant.timestep, "input_bounds": np.asarray(plant.input_bounds).tolist(),
+        "output_names": list(plant.output_names), "input_names": list(plant.input_names),
+        "rest": np.asarray(plant.rest).tolist(), "parameters": getattr(plant, "parameters", {}),
+        "origin": getattr(plant, "origin", {})}
 
 
 def described_plan(plan: RecordingPlan, signal: np.ndarray) -> dict:

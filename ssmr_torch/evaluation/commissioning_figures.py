@@ -1,4 +1,6 @@
-"""The figures of a robot's commissioning: its answers to steps, and the circles that it drew. SI in, mm and s on the axes."""
+"""The figures of a robot's commissioning: its answers to steps, and the circles that it drew. SI in, mm and s on the
+axes.
+"""
 
 from __future__ import annotations
 
