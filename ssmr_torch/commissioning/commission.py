@@ -211,10 +211,11 @@ class Commissioning:
         found = closed_loop_metrics(record)
         faults = [f"the error of {1e3 * found['rmse']:.3g} mm is more than half of the radius"] \
             if found["rmse"] > 0.5 * radius else []
-        decisions = int(np.isfinite(record.solve_time).sum())
-        return (f"{about}\n\nRMSE **{1e3 * found['rmse']:.3g} mm**, {100 * found['rmse'] / radius:.3g} % of the radius; "
-                f"at most {1e3 * found['max_error']:.3g} mm; {found['fallbacks']:.0f} fallbacks of {decisions} "
-                f"decisions, {1e3 * found['solve_time_p99']:.2g} ms each (99 %)."), faults
+        decisions, share = int(np.isfinite(record.solve_time).sum()), 100 * found["rmse"] / radius
+        said = (f"RMSE **{1e3 * found['rmse']:.3g} mm**, {share:.3g} % of the radius; at most "
+                f"{1e3 * found['max_error']:.3g} mm; {found['fallbacks']:.0f} fallbacks of {decisions} decisions, "
+                f"{1e3 * found['solve_time_p99']:.2g} ms each (99 %).")
+        return f"{about}\n\n{said}", faults
 
     def _circle(self, name: str, lap: float) -> tuple[Task, str, float]:
         """The task, what is to be said of it, and the radius, m."""

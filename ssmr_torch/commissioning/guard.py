@@ -68,7 +68,8 @@ class GuardedPlant(PlantSheet):
     @property
     def stamp(self) -> float:
         """s by the robot's own clock, when the last observation was taken; NaN where it is not told."""
-        return getattr(self.plant, "stamp", np.nan)
+        bare = getattr(self.plant, "plant", self.plant)  # a rig has no clock
+        return getattr(bare, "stamp", np.nan)
 
     def reset(self, seed: int | None = None, state: np.ndarray | None = None) -> np.ndarray:
         """Go to rest and hold the neutral input; any state but None raises ValueError."""
@@ -115,9 +116,9 @@ class GuardedPlant(PlantSheet):
     def _begin(self, observation: np.ndarray) -> None:
         self.stopped = ""
         self._observations, self._inputs = [observation], []
-        self._recent, self._middle = deque(maxlen=3), observation
+        self._recent, self._middle = deque(maxlen=3), None  # (sample number, observation); the same of the last median
         self._last, self._input_then = np.full(len(self.output_names), np.nan), self._applied
-        self._silent = self._since = 0
+        self._silent = 0
 
     def _pass_on(self, u: np.ndarray) -> np.ndarray:
         self._inputs.append(u)
@@ -143,16 +144,16 @@ class GuardedPlant(PlantSheet):
     def _wrong(self, observation: np.ndarray) -> str:
         """What limit this sample exceeds; empty where none."""
         card, names = self.card, self.output_names
-        self._since += 1
         missing = not np.isfinite(observation).all()
         if missing or (observation == self._last).all():
             return self._without_news(missing)
         self._last, self._silent, self._input_then = observation, 0, self._applied
-        self._recent.extend([observation] * (1 if self._recent else 3))
-        self._middle = self._middle if np.isfinite(self._middle).all() else observation
-        middle = np.median(self._recent, axis=0)
-        rate = np.abs(middle - self._middle) / (self.timestep * self._since)
-        self._middle, self._since = middle, 0
+        self._recent.extend([(len(self._observations), observation)] * (1 if self._recent else 3))
+        (_, a), (number, b), (_, c) = self._recent
+        middle = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))  # the median, as of the second sample
+        before, last = self._middle or (number, middle)
+        rate = np.abs(middle - last) / (self.timestep * max(number - before, 1))
+        self._middle = number, middle
         far, fast = int(np.argmax(np.abs(middle))), int(np.argmax(rate))
         if abs(middle[far]) > card.displacement_limit:
             return (f"{names[far]} is {1e3 * middle[far]:.3g} mm from rest, more than the displacement_limit of "

@@ -9,6 +9,7 @@ from ssmr_torch.commissioning.guard import GuardedPlant
 SETTLING = 0.2   # of the run, left out
 APART = 0.01     # of the displacement limit, that the neutral position may lie beside the zero of the observation
 MISSING, JITTER, DRIFT = 0.05, 0.25, 0.01  # shares of samples, timestep and displacement limit that are too much
+LOUDEST = 6.0    # standard deviations, that medians of three samples may differ by
 
 
 def measure_noise(plant: GuardedPlant, duration: float, seed: int = 0) -> dict:
@@ -62,6 +63,10 @@ def noise_faults(noise: dict, plant: GuardedPlant) -> list[str]:
         faults.append(f"{names[int(np.argmax(moved))]} drifts by {1e3 * moved.max():.3g} mm in "
                       f"{noise['duration_s']:.3g} s at rest; let the robot come to rest, or give the "
                       "card a longer settle")
+    apparent = LOUDEST * max(noise["std_m"]) / plant.timestep
+    if apparent > plant.card.rate_limit:
+        faults.append(f"noise alone looks like {apparent:.3g} m/s now and then; expected less than the rate_limit of "
+                      f"{plant.card.rate_limit:.3g} m/s: measure more quietly, or raise it")
     lost = noise["missing"] + noise["held"]
     if lost > MISSING:
         faults.append(f"{100 * lost:.2g} % of the samples are missing or repeat the last; expected less than "

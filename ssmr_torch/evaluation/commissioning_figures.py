@@ -34,7 +34,7 @@ def steps(answers: Sequence, output_names: Sequence[str]) -> Figure:
         late = "dead" if answer.output is None else f"{output_names[most]}"
         late += "" if answer.delay_s is None else f", {MS * answer.delay_s:.3g} ms"
         axes.set_title(f"{answer.input}: {late}", loc="left")
-        axes.set(xlabel="time after the command (s)", ylabel="mm per unit")
+        axes.set(xlabel="time (s)", ylabel="mm per unit")
     for axes in places[len(answers):]:
         axes.set_axis_off()
     return figure
@@ -52,5 +52,5 @@ def circles(records: Sequence) -> Figure:
         names = [record.output_names[column] for column in record.tracked]
         axes.set(xlabel=f"{names[0]} (mm)", ylabel=f"{names[1]} (mm)", aspect="equal")
         axes.set_title(record.provenance.get("task", ""), loc="left")
-        axes.legend(loc="upper right")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
