@@ -29,7 +29,7 @@ def gather(plant: GuardedPlant, excitation: Callable, directory: BenchDirectory,
     note = directory.read_json(NOTE) if directory.has(NOTE) else {"share": share, "stops": []}
     while True:
         directory.write_json(NOTE, note)
-        guard = plant.narrowed(note["share"])
+        guard = plant.narrowed(note["share"], bridged=True)
         try:
             excitation(guard, directory=directory.runs_folder(note["share"]), workers=1)
             break

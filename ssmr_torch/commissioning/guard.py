@@ -25,6 +25,7 @@ class GuardedPlant(PlantSheet):
 
     card: `fitted` to the plant.   share: of what lies between the neutral input and the bounds, that inputs may use.
     noisy: whether two measurements are never equal to the last bit, so that equal ones tell of a frozen sensor.
+    bridged: whether a missing measurement is returned as the last one that came, for recordings, and not as NaN.
 
     A sample is judged by the median of the last three, so that a single wrong one stops nothing; samples that are
     missing, or repeat the last one, are left out. Stops: an output beyond displacement_limit; one that moves faster
@@ -33,10 +34,11 @@ class GuardedPlant(PlantSheet):
     `settle` s. `step` and `reset` raise SafetyStop; the run so far is in `run`.
     """
 
-    def __init__(self, plant: Plant, card: BenchCard, share: float = 1.0, noisy: bool = False):
+    def __init__(self, plant: Plant, card: BenchCard, share: float = 1.0, noisy: bool = False, bridged: bool = False):
         if not 0 < share <= 1:
             raise ValueError(f"share is {share}; expected more than 0 and at most 1, of the way to the bounds")
-        self.plant, self.card, self.share, self.noisy = plant, card, float(share), bool(noisy)
+        self.plant, self.card, self.share = plant, card, float(share)
+        self.noisy, self.bridged = bool(noisy), bool(bridged)
         self.name, self.timestep, self.rest = plant.name, plant.timestep, plant.rest
         self.input_unit, self.output_names, self.input_names = plant.input_unit, plant.output_names, plant.input_names
         self.neutral_input = card.rest
@@ -44,9 +46,9 @@ class GuardedPlant(PlantSheet):
         self._applied = self.neutral_input
         self._begin(np.zeros(len(self.output_names)))
 
-    def narrowed(self, share: float) -> GuardedPlant:
+    def narrowed(self, share: float, bridged: bool = False) -> GuardedPlant:
         """A guard of the same plant that lets inputs use this share of the way to the bounds."""
-        return GuardedPlant(self.plant, self.card, share, self.noisy)
+        return GuardedPlant(self.plant, self.card, share, self.noisy, bridged)
 
     @property
     def parameters(self) -> dict:
@@ -84,6 +86,10 @@ class GuardedPlant(PlantSheet):
                 observation = self._pass_on(u)
                 self._judge(observation)
             self._begin(observation)
+        while self.bridged and not np.isfinite(observation).all():
+            observation = self._pass_on(self.neutral_input)
+            self._judge(observation)
+            self._begin(observation)
         return observation
 
     def step(self, input: np.ndarray) -> np.ndarray:
@@ -93,7 +99,7 @@ class GuardedPlant(PlantSheet):
         u = np.clip(finite_vector(input, len(self.input_names), "input"), *self.input_bounds)
         observation = self._pass_on(u)
         self._judge(observation)
-        return observation
+        return self._last.copy() if self.bridged else observation
 
     def relax(self) -> None:
         """Go to the neutral input by a ramp; a robot that is gone is left to itself."""

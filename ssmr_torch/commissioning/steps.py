@@ -12,6 +12,7 @@ FIRST, LAST = 1 / 32, 1 / 2      # of the way to the farther bound: the smallest
 SEEN, LOUD = 6.0, 30.0           # standard deviations of noise: an answer; one from which times can be told
 NEAR = 0.5                       # of the displacement limit, beyond which no step is doubled
 BEFORE, HOLD = 0.5, 2.0          # s of quiet before a step; s that it is held, and that the way back is
+LEFT = 4.0                       # the same, from which an answer has left the noise
 SETTLED = 0.05                   # of the final value
 FLOOR = 1e-6                     # m, of noise that is too small to be measured
 
@@ -22,7 +23,8 @@ class StepAnswer:
 
     size: of the step, input unit, with its sign.   moved_m (p,): final displacement.   loudness: of the largest one, in
     standard deviations of its noise.   output: name of that which moved most; None: nothing moved.
-    delay_s: from the command until an answer left the noise, beyond the one timestep that every sample has.
+    delay_s: from the command until the answer left the noise, beyond the one timestep that every sample has; the true
+    delay is at most that.
     settling_s: until the answer stays within 5 % of its end; None: longer than the step was held.
     time_s (K,), trace_m (K, p): the answer from the command on, from where it began.
     """
@@ -93,9 +95,13 @@ def _judged(plant: GuardedPlant, place: int, size: float, trace: np.ndarray, mov
 
 
 def _delay(trace: np.ndarray, moved: np.ndarray, noise: np.ndarray, timestep: float) -> float | None:
-    """s until two samples in a row of one output left the noise; row 0 is the first sample that can feel the step."""
-    out = np.abs(trace) > np.maximum(5 * noise, 0.01 * np.abs(moved).max())
-    both = (out[:-1] & out[1:]).any(axis=1)
+    """s until two samples in a row left the noise; row 0 is the first sample that can feel the step.
+
+    What is watched is the motion towards the end of the answer, all outputs together, each by its noise.
+    """
+    towards = trace @ (moved / noise ** 2) / np.linalg.norm(moved / noise)  # of unit noise
+    out = np.abs(towards) > max(LEFT, 0.01 * np.linalg.norm(moved / noise))
+    both = out[:-1] & out[1:]
     return float(timestep * np.argmax(both)) if both.any() else None
 
 

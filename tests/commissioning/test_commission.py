@@ -1,10 +1,13 @@
 """The sequence: whole, declined, killed, stopped, and on robots with signed, pulling and biased inputs."""
 
 import json
+import os
+import signal
 
 import numpy as np
 import pytest
 
+from ssmr_torch import command
 from ssmr_torch.closed_loop import ClosedLoopRecord
 from ssmr_torch.commissioning.commission import STEPS
 from ssmr_torch.commissioning.guard import SafetyStop
@@ -183,3 +186,33 @@ def test_answers_of_a_guarded_robot_are_those_of_the_robot(robot, card):
     plant = robot()
     left, right = measure_steps(GuardedPlant(plant, fitted(card(), plant)), np.full(3, 2e-5))
     assert left.output in ("x", "z") and right.output == "y" and left.loudness > 30
+
+
+def test_a_terminated_run_leads_the_robot_back_to_its_neutral_input(bring_up, robot):
+    class Terminated(robot):
+        told = False
+
+        def step(self, input):
+            if len(self.commands) == 230 and not self.told:
+                self.told = True
+                os.kill(os.getpid(), signal.SIGTERM)
+            return super().step(input)
+
+    before, plant = signal.getsignal(signal.SIGTERM), Terminated()
+    with pytest.raises(SystemExit):
+        bring_up(plant)
+    assert signal.getsignal(signal.SIGTERM) is before
+    assert np.abs(plant.commands[229]).max() > 0 and np.abs(plant.commands[-1]).max() == 0
+    assert len(plant.commands) > 320
+
+
+def test_the_command_shows_each_step_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
+    (tmp_path / "robot.yaml").write_text("displacement_limit: 0.05\nrate_limit: 2.0\nexpected: {cable_+x: -tip_x}\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["ssmr", "commission", "plant=slow_manifold", "card=robot.yaml", "confirm=yes",
+                                     "settings.rest_duration=1", "hydra.run.dir=bench"])
+    assert command.main() == 0
+    said = capsys.readouterr().out
+    assert "cable_+x is reversed: it moves +tip_x, expected -tip_x" in said
+    assert "2 of 9 steps are confirmed; the same command with hydra.run.dir=" in said
+    assert (tmp_path / "bench" / "commissioning.md").is_file() and (tmp_path / "bench" / "steps.svg").is_file()

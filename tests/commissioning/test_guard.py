@@ -70,6 +70,15 @@ def test_without_measurements_it_stops_after_the_blind_limit(guard, robot):
     np.testing.assert_array_equal(run.observation[30:], np.tile(run.observation[29], (run.length - 30, 1)))
 
 
+def test_recordings_hold_a_missing_sample_and_begin_with_one_that_came(guard, robot):
+    watched = guard(robot(lost=(0, 1, 20, 21), noise=1e-5), more={"bridged": True})
+    first = watched.reset(0)
+    seen = [watched.step(np.array([0.2, 0.2])) for _ in range(40)]
+    assert np.isfinite(first).all() and np.isfinite(seen).all() and watched.run("held").length == 41
+    np.testing.assert_array_equal(seen[16], seen[18])  # samples 20 and 21 are lost; seen[0] is sample 3
+    assert (seen[16] != seen[19]).all()
+
+
 def test_a_frozen_sensor_stops_a_moving_robot_that_is_known_to_be_noisy(guard, robot):
     class Frozen(robot):
         def _seen(self):
