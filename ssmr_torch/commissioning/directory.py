@@ -20,6 +20,7 @@ from ssmr_torch.plants.base import Plant
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 CARD, PROGRESS, REPORT = "card.yaml", "progress.json", "commissioning.md"
+SOURCE = "commissioning"
 RUNS = "collected"  # one folder for each share of the input range
 
 
@@ -117,8 +118,14 @@ class BenchDirectory:
         data.save(self.path / COMPLETE)
 
     def trajectories(self) -> TrajectoryDataset:
-        """What trajectories.h5 holds; the files of single runs, which it makes needless, are removed."""
+        """What trajectories.h5 holds; the files of single runs, which it makes needless, are removed.
+
+        Raises ValueError for recordings that no commissioning made.
+        """
         data = TrajectoryDataset.load(self.path / COMPLETE)
+        if data.provenance.get("source") != SOURCE:
+            raise ValueError(f"{self.path / COMPLETE} comes from {data.provenance.get('source')!r}; expected recordings "
+                             "of this commissioning: choose another directory")
         for folder in (self.path / RUNS).glob("*"):
             discard_recorded(folder)
             folder.rmdir()
@@ -136,7 +143,7 @@ class BenchDirectory:
 
 def dataset_of(plant: Plant, runs: Sequence[Trajectory], provenance: dict) -> TrajectoryDataset:
     """Runs of this plant as a dataset; the plant's neutral input stands in the provenance."""
-    own = {"source": "commissioning", "package": f"ssmr_torch {__version__}", "robot": plant.name,
+    own = {"source": SOURCE, "package": f"ssmr_torch {__version__}", "robot": plant.name,
            "neutral_input": np.asarray(plant.neutral_input).tolist()}
     return TrajectoryDataset(runs, plant.rest, plant.output_names, plant.input_names, plant.input_unit,
                              own | provenance)

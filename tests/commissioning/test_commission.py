@@ -1,5 +1,6 @@
 """The sequence: whole, declined, killed, stopped, and on robots with signed, pulling and biased inputs."""
 
+import dataclasses
 import json
 import os
 import signal
@@ -157,6 +158,14 @@ def test_another_card_is_refused_in_the_same_directory_but_other_limits_are_not(
     with pytest.raises(ValueError, match="neutral was .* now it is"):
         bring_up(robot(), card=card(neutral=[0.1, 0.0]))
     assert bring_up(robot(), lambda *_: False, card=card(displacement_limit=0.04)) == ["card", "noise"]
+
+
+def test_recordings_that_are_none_of_the_benchs_are_refused(bring_up, robot):
+    bring_up(robot(), lambda step, *_: step != "collection")
+    data = TrajectoryDataset.load(bring_up.directory / "declined-1-trajectories.h5")
+    dataclasses.replace(data, provenance={"source": "simulation"}).save(bring_up.directory / "trajectories.h5")
+    with pytest.raises(ValueError, match="comes from 'simulation'; expected recordings of this commissioning"):
+        bring_up(robot())
 
 
 def test_yes_does_not_agree_to_swapped_channels(bring_up, robot, capsys, card, tmp_path):
