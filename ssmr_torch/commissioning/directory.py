@@ -124,7 +124,7 @@ class BenchDirectory:
         """
         data = TrajectoryDataset.load(self.path / COMPLETE)
         if data.provenance.get("source") != SOURCE:
-            raise ValueError(f"{self.path / COMPLETE} comes from {data.provenance.get('source')!r}; expected recordings "
+            raise ValueError(f"{self.path / COMPLETE} comes from {data.provenance.get('source')!r}; expected those "
                              "of this commissioning: choose another directory")
         for folder in (self.path / RUNS).glob("*"):
             discard_recorded(folder)

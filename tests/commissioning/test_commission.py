@@ -164,7 +164,7 @@ def test_recordings_that_are_none_of_the_benchs_are_refused(bring_up, robot):
     bring_up(robot(), lambda step, *_: step != "collection")
     data = TrajectoryDataset.load(bring_up.directory / "declined-1-trajectories.h5")
     dataclasses.replace(data, provenance={"source": "simulation"}).save(bring_up.directory / "trajectories.h5")
-    with pytest.raises(ValueError, match="comes from 'simulation'; expected recordings of this commissioning"):
+    with pytest.raises(ValueError, match="comes from 'simulation'; expected those of this commissioning"):
         bring_up(robot())
 
 
