@@ -86,6 +86,7 @@ class Commissioning:
                  design: Callable, fit: Callable, settings: CommissioningSettings):
         self.plant, self.card, self.directory, self.confirm = plant, card, directory, confirm
         self.excitation, self.design, self.fit, self.settings = excitation, design, fit, settings
+        self._designed: dict[str, tuple] = {}
 
     def go_on(self) -> list[str]:
         """Take the steps that are not confirmed yet, until one is declined; the names of those that are."""
@@ -232,9 +233,13 @@ class Commissioning:
                  f"{100 * self.settings.share_of_reach:.3g} % of the reach of {1e3 * most:.3g} mm; {lap:g} s a lap.")
         return circle_about(rest[columns], radius, lap, self.settings.laps, outputs, name), about, radius
 
-    def _controller(self, task):
-        bounds = self._guard().narrowed(recorded_share(self.directory)).input_bounds
-        return self.design(self.settings.model, self.directory.trajectories(), task, bounds)
+    def _controller(self, task: Task) -> tuple:
+        """Controller and design report of a task, designed once in a call."""
+        if task.name not in self._designed:
+            bounds = self._guard().narrowed(recorded_share(self.directory)).input_bounds
+            data = self.directory.trajectories()
+            self._designed[task.name] = tuple(self.design(self.settings.model, data, task, bounds))
+        return self._designed[task.name]
 
     def _std(self) -> np.ndarray:
         return np.array(self.directory.read_json("noise.json")["std_m"])

@@ -86,9 +86,10 @@ class GuardedPlant(PlantSheet):
                 observation = self._pass_on(u)
                 self._judge(observation)
             self._begin(observation)
-        while self.bridged and not np.isfinite(observation).all():
-            observation = self._pass_on(self.neutral_input)
-            self._judge(observation)
+        if self.bridged and not np.isfinite(observation).all():
+            while not np.isfinite(observation).all():
+                observation = self._pass_on(self.neutral_input)
+                self._judge(observation)
             self._begin(observation)
         return observation
 

@@ -15,10 +15,10 @@ LOUDEST = 6.0    # standard deviations, that medians of three samples may differ
 def measure_noise(plant: GuardedPlant, duration: float, seed: int = 0) -> dict:
     """Hold the neutral input for `duration` s.
 
-    Per output: std_m of the white noise about a straight line; drift_m_s, its slope, with drift_error_m_s; rest_m, where
-    it lies. missing, held: shares of samples that did not come, or repeat the last one to the last digit of a sensor
-    with noise. jitter, worst_jitter: by how much sampling intervals are off by the robot's own clock, in timesteps, 99 %
-    of them and the worst; None where it has none.
+    Per output: std_m of the white noise about a straight line; drift_m_s, its slope, with drift_error_m_s; rest_m,
+    where it lies. missing, held: shares of samples that did not come, or repeat the last one to the last digit of a
+    sensor with noise. jitter, worst_jitter: by how much sampling intervals are off by the robot's own clock, in
+    timesteps, 99 % of them and the worst; None where it has none.
     """
     samples = [plant.reset(seed)]
     stamps = [plant.stamp]
@@ -38,7 +38,8 @@ def measure_noise(plant: GuardedPlant, duration: float, seed: int = 0) -> dict:
     std = (y[new] - line @ found).std(axis=0, ddof=2)
     return {"duration_s": float(time[-1]), "std_m": std.tolist(), "drift_m_s": found[1].tolist(),
             "drift_error_m_s": (std / np.sqrt((line[:, 1] ** 2).sum())).tolist(), "rest_m": found[0].tolist(),
-            "missing": float(1 - good.mean()), "held": float(repeats.mean()) if not repeats.all() else 0.0} | _jitter(np.array(stamps), plant.timestep)
+            "missing": float(1 - good.mean()), "held": float(repeats.mean()) if not repeats.all() else 0.0,
+            **_jitter(np.array(stamps), plant.timestep)}
 
 
 def _jitter(stamps: np.ndarray, timestep: float) -> dict:
@@ -72,8 +73,8 @@ def noise_faults(noise: dict, plant: GuardedPlant) -> list[str]:
         faults.append(f"{100 * lost:.2g} % of the samples are missing or repeat the last; expected less than "
                       f"{100 * MISSING:g} %: see what the sensors lack")
     if (noise["jitter"] or 0.0) > JITTER:
-        faults.append(f"one sampling interval in a hundred is off by {100 * noise['jitter']:.2g} % of a timestep; expected "
-                      f"less than {100 * JITTER:g} %: see what keeps the robot's clock busy")
+        faults.append(f"one sampling interval in a hundred is off by {100 * noise['jitter']:.2g} % of a timestep; "
+                      f"expected less than {100 * JITTER:g} %: see what keeps the robot's clock busy")
     return faults
 
 

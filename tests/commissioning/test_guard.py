@@ -77,6 +77,8 @@ def test_recordings_hold_a_missing_sample_and_begin_with_one_that_came(guard, ro
     assert np.isfinite(first).all() and np.isfinite(seen).all() and watched.run("held").length == 41
     np.testing.assert_array_equal(seen[16], seen[18])  # samples 20 and 21 are lost; seen[0] is sample 3
     assert (seen[16] != seen[19]).all()
+    with pytest.raises(SafetyStop, match="no measurement came"):
+        guard(robot(lost=range(1000)), more={"bridged": True}).reset(0)
 
 
 def test_a_frozen_sensor_stops_a_moving_robot_that_is_known_to_be_noisy(guard, robot):
