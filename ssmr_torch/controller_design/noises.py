@@ -10,8 +10,8 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
 
-from ssmr_torch.design.model_choice import points_along
-from ssmr_torch.design.recordings import Recordings
+from ssmr_torch.controller_design.model_choice import points_along
+from ssmr_torch.controller_design.recordings import Recordings
 from ssmr_torch.models.base import Model
 
 SEGMENT, BURN_IN = 160, 60       # samples of a segment, and those before its innovations count

@@ -9,9 +9,9 @@ import numpy as np
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.disturbance_observer import DisturbanceObserver
 from ssmr_torch.control.settings import PredictiveControlSettings
-from ssmr_torch.design.loops import Weights
-from ssmr_torch.design.noises import Likelihood, Observer
-from ssmr_torch.design.recordings import Recordings
+from ssmr_torch.controller_design.loops import Weights
+from ssmr_torch.controller_design.noises import Likelihood, Observer
+from ssmr_torch.controller_design.recordings import Recordings
 
 HUBER = 5e-3         # of the reach: tracking error from which its cost grows linearly
 LOST = 0.02          # of the reach: no good prediction misses by more

@@ -12,9 +12,9 @@ import numpy as np
 
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.design.controller import settings_of
-from ssmr_torch.design.identification import Identification, identify
-from ssmr_torch.design.model_choice import (
+from ssmr_torch.controller_design.controller import settings_of
+from ssmr_torch.controller_design.identification import Identification, identify
+from ssmr_torch.controller_design.model_choice import (
     SEARCHED,
     WILD,
     ChosenModel,
@@ -23,10 +23,10 @@ from ssmr_torch.design.model_choice import (
     horizon_error,
     spectral_radii,
 )
-from ssmr_torch.design.noises import Likelihood
-from ssmr_torch.design.recordings import Recordings, recordings_of
-from ssmr_torch.design.report import DesignReport
-from ssmr_torch.design.weights import choose_weights
+from ssmr_torch.controller_design.noises import Likelihood
+from ssmr_torch.controller_design.recordings import Recordings, recordings_of
+from ssmr_torch.controller_design.report import DesignReport
+from ssmr_torch.controller_design.weights import choose_weights
 from ssmr_torch.trained_model import TrainedModel
 from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 

@@ -9,8 +9,8 @@ from itertools import product
 import numpy as np
 
 from ssmr_torch.control.actuator import Actuator
-from ssmr_torch.design.predictive import Form, Regression, Scaled, chart, held_error
-from ssmr_torch.design.recordings import Recordings
+from ssmr_torch.controller_design.predictive import Form, Regression, Scaled, chart, held_error
+from ssmr_torch.controller_design.recordings import Recordings
 
 DELAYS = range(7)                                 # samples
 LAGS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0)        # samples

@@ -9,8 +9,8 @@ from itertools import product
 import numpy as np
 
 from ssmr_torch.control.actuator import Actuator
-from ssmr_torch.design.predictive import Form, Regression, Scaled, chart, held_error
-from ssmr_torch.design.recordings import Recordings
+from ssmr_torch.controller_design.predictive import Form, Regression, Scaled, chart, held_error
+from ssmr_torch.controller_design.recordings import Recordings
 from ssmr_torch.models.base import Model
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.run import Trajectory

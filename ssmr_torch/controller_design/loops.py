@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
 from ssmr_torch.control.actuator import Actuator
-from ssmr_torch.design.noises import Observer
+from ssmr_torch.controller_design.noises import Observer
 from ssmr_torch.models.base import Model
 
 FREQUENCIES = 12

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from ssmr_torch import data_sheet as sheet
+from ssmr_torch.controller_design.identification import Identification, in_words
+from ssmr_torch.controller_design.model_choice import ChosenModel
+from ssmr_torch.controller_design.noises import Likelihood, Noises
+from ssmr_torch.controller_design.recordings import Recordings
+from ssmr_torch.controller_design.weights import PEAK, WeightSearch
 from ssmr_torch.data_sheet import DataSheet
-from ssmr_torch.design.identification import Identification, in_words
-from ssmr_torch.design.model_choice import ChosenModel
-from ssmr_torch.design.noises import Likelihood, Noises
-from ssmr_torch.design.recordings import Recordings
-from ssmr_torch.design.weights import PEAK, WeightSearch
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ class DesignReport(DataSheet):
 
     def save(self, folder: str | Path) -> Path:
         """Write design.json, design.md and the figures; each file appears only when it is complete."""
-        from ssmr_torch.design.figures import draw
+        from ssmr_torch.controller_design.figures import draw
 
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssmr_torch.control.actuator import Actuator
-from ssmr_torch.design.identification import LAGS, in_words
-from ssmr_torch.design.recordings import Piece
+from ssmr_torch.controller_design.identification import LAGS, in_words
+from ssmr_torch.controller_design.recordings import Piece
 from ssmr_torch.models.batch_rollout import batch_of
 
 STEPS, STRIDE = 20, 3            # samples of the predictions, and from one start to the next

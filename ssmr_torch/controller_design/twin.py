@@ -9,8 +9,8 @@ import numpy as np
 
 from ssmr_torch.control.actuator import Actuator, ActuatorState
 from ssmr_torch.control.disturbance_observer import stepper
-from ssmr_torch.design.noises import Noises
-from ssmr_torch.design.recordings import Recordings
+from ssmr_torch.controller_design.noises import Noises
+from ssmr_torch.controller_design.recordings import Recordings
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.tasks.references import Task
 

@@ -12,7 +12,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from ssmr_torch.design.recordings import Piece, Recordings
+from ssmr_torch.controller_design.recordings import Piece, Recordings
 from ssmr_torch.models.monomials import Monomials
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.structure import Structure
