@@ -60,6 +60,10 @@ class Horizon(ABC):
     def _seen(self, outputs: np.ndarray) -> np.ndarray:
         return outputs if self.output_offset is None else outputs + self.output_offset
 
+    def outputs_at(self, state: np.ndarray) -> np.ndarray:
+        """y (p,) of one state (n,), with the disturbance of the output."""
+        return self._seen(self.model.decode(state[None]))[0]
+
     def rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """States (N+1, n) and outputs y_1 … y_N (N, p) from state (n,) under inputs (N, m)."""
         states, outputs = self._rollout(state, self._acting(inputs))

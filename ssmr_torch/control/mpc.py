@@ -102,8 +102,7 @@ class ModelPredictiveController(DataSheet):
         weight = settings.output_weight
         linear, quadratic = (2.0 * settings.horizon * PULL * weight, 10.0 * weight) \
             if settings.violation_weight is None else settings.violation_weight
-        constraints = constraints_of(self.task, columns, p, settings.horizon, output_bounds=settings.output_bounds,
-                                     margins=settings.margins, linear=linear, quadratic=quadratic)
+        constraints = constraints_of(self.task, columns, p, settings, linear=linear, quadratic=quadratic)
         return TrackingProblem(_Reference(self.task, columns, p), input_bounds, weight * tracked,
                                settings.input_weight, settings.terminal_weight * tracked, settings.input_rate,
                                settings.horizon, settings.period, constraints)

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ssmr_torch.control.condensing import clipped, tracking_cost
-from ssmr_torch.control.constraints import OutputConstraints
+from ssmr_torch.control.constraints import ConstraintsAhead, OutputConstraints
 from ssmr_torch.control.settings import PredictiveControlSettings
 
 # The solver sees violations in this unit, m.
@@ -23,7 +23,7 @@ class TrackingProblem:
         min  Σ_{k=1..N} ‖y_k − ŷ_k‖²_Q + ‖y_N − ŷ_N‖²_{Q_f} + Σ_{k=0..N−1} ‖u_k‖²_R
         s.t. lower ≤ u_k ≤ upper,   |u_k − u_{k−1}| ≤ rate · period   with u_{−1} the input applied last.
 
-    and, where there are `constraints`, their penalty of y_1 … y_N added to the cost.
+    and, where there are `constraints`, their penalty of the path to y_N added to the cost.
 
     reference: time (K,) s → ŷ (K, p) m.   input_bounds: (2, m), lowest and highest input.
     output_weight, terminal_weight: diagonals of Q and Q_f, (p,) or one number, 1/m².
@@ -185,13 +185,13 @@ class TrackingProblem:
         return reference
 
     def cost(self, outputs: np.ndarray, inputs: np.ndarray, reference: np.ndarray,
-             times: np.ndarray | None = None) -> float:
+             ahead: ConstraintsAhead | None = None) -> float:
         """J of y_1 … y_N (N, p) and u_0 … u_{N−1} (N, m); not a finite number when the outputs are not.
 
-        times (N,) s: of the outputs; with constraints, which may move, they are needed.
+        ahead: the constraints from the present time and place on; where there are constraints, it is needed.
         """
         cost = tracking_cost(outputs, inputs, reference, self.stage_weight, self.input_weight)
-        return cost if self.constraints is None else cost + self.constraints.penalty(times, outputs)
+        return cost if self.constraints is None else cost + ahead.penalty(outputs)
 
 
 def _diagonal(name: str, value, size: int) -> np.ndarray:
