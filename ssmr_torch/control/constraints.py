@@ -6,21 +6,22 @@ import numpy as np
 
 # circles that a stage looks at
 NEAREST = 3
-# straight pieces of the predicted path between two control steps
-PARTS = 4
+# points of the predicted path at which a control step is looked at, its end the last of them
+PARTS = 2
 
 
 class OutputConstraints:
     """lower ≤ y ≤ upper, normalᵀ y ≤ offset, ‖y − c(t)‖ ≥ radius along the predicted path, each as far as possible:
 
-        penalty = Σ over stages and constraints of  linear · s + quadratic · s²,   s = max(0, violation) in m,
+        penalty = Σ over points and constraints of  linear · s + quadratic · s²,   s = max(0, violation) in m,
 
-    exact where `linear` exceeds what tracking gains by a violation. The path from y_0, which no input can change, to y_N
-    is the cubic through the four predictions next to each point, in `PARTS` straight pieces a control step
-    (`path_weights`); of stage k counts the largest violation on the way from y_{k−1} to y_k, but for the first piece of
-    all, in which an input does next to nothing.
-    Circles enter the quadratic program as the half-plane that touches them at the point next to the path, at the point
-    and the time where it is next to them, and as the `NEAREST` ones of each stage only; the penalty counts all of them.
+    exact where `linear` exceeds what tracking gains by a violation. The path starts at y_0 with the velocity there, which
+    no input can change, and goes through y_1 … y_N; each stage is looked at in `PARTS` points (`path_weights`). The
+    straight piece of length l between two of them stays out of a circle where both keep √(radius² + l²/4) from its
+    center: so far is kept, with the longer of the pieces at a point.
+    Circles enter the quadratic program as the half-plane that touches them at the place next to the present prediction,
+    at the time of the point, and as the `NEAREST` ones of each stage only; the penalty counts all of them. What keeps
+    that half-plane keeps out of the circle.
 
     columns: the tracked outputs, in which the obstacles lie; obstacles: with `clearance(time, outputs)`, circles with
     `centers(time)`, `center` (callable where it moves) and `radius`, half-planes with `normal` and `offset`, such as
@@ -48,7 +49,7 @@ class OutputConstraints:
         self.weights = path_weights(self.horizon, PARTS)
         self._constant_rows(self._checked(output_bounds))
         self.nearest = min(NEAREST, len(self.circles))
-        self.rows_per_stage = len(self.offsets) + self.nearest
+        self.rows_per_stage = PARTS * (len(self.offsets) + self.nearest)
 
     def tighten(self, margins) -> None:
         """Other margins, (N,) m. Raises ValueError for another number of them, or a negative one."""
@@ -91,89 +92,78 @@ class OutputConstraints:
         return centers
 
     def ahead(self, time: float, period: float, start: np.ndarray) -> ConstraintsAhead:
-        """Seen from `time` s with the robot at y_0 = start (p,) m, a control step every `period` s."""
+        """Seen from `time` s, a control step every `period` s; start (2, p) m: y_0 and period · dy/dt there."""
         return ConstraintsAhead(self, time + period / PARTS * np.arange(self.points), start)
 
 
 class ConstraintsAhead:
     """`OutputConstraints` from one time and place on: functions of the outputs y_1 … y_N (N, p) m alone.
 
-    times: of the path's points, (N PARTS + 1,) s; start: y_0 (p,) m.
+    times: of the path's points, (N PARTS + 1,) s; start (2, p) m: y_0 and its change in a period at the velocity there.
     """
 
     def __init__(self, constraints: OutputConstraints, times: np.ndarray, start: np.ndarray):
-        self.constraints, self.start, self._centers = constraints, start, constraints.centers(times)
+        self.constraints, self._centers = constraints, constraints.centers(times)
+        self._given = constraints.weights[:, :2] @ start
 
     def path(self, outputs: np.ndarray) -> np.ndarray:
         """The points of the path, (N PARTS + 1, p) m."""
-        weights = self.constraints.weights
-        return weights[:, 1:] @ outputs + weights[:, :1] * self.start
+        return self._given + self.constraints.weights[:, 2:] @ outputs
 
     def rows(self, outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """normals (N, r, p), weights (N, r, N) and lacking (N, r) m of the rows
 
             normalᵀ Σ_j weights_j (y_j − outputs_j) ≥ lacking,
 
-        lacking: the margin less the clearance of these outputs.
+        lacking: the margin less the clearance of these outputs. Of a stage first the rows of its first point.
         """
-        own, N = self.constraints, self.constraints.horizon
-        fixed, shape = len(own.offsets), (N, own.rows_per_stage)
-        normals, weights, lacking = np.empty((*shape, own.output_dim)), np.empty((*shape, N)), np.empty(shape)
-        path, stages = self.path(outputs), np.arange(N)
-        if fixed:
-            clearance, place = self._of_walls(path)
-            normals[:, :fixed], lacking[:, :fixed] = own.normals, -clearance
-            weights[:, :fixed] = own.weights[place, 1:]
+        own, path = self.constraints, self.path(outputs)
+        each, fixed, p = own.rows_per_stage // PARTS, len(own.offsets), own.output_dim
+        normals, lacking = np.zeros((own.points - 1, each, p)), np.empty((own.points - 1, each))
+        normals[:, :fixed], lacking[:, :fixed] = own.normals, own.offsets - path[1:] @ own.normals.T
         if own.nearest:
-            clearance, away, piece, share = self._of_circles(path)
-            if own.nearest < len(own.circles):
-                # in their own order: a solver that starts from its last solution finds every row where it was
-                chosen = np.sort(np.argpartition(clearance, own.nearest - 1, axis=0)[:own.nearest], axis=0)
-            else:
-                chosen = np.broadcast_to(np.arange(own.nearest)[:, None], (own.nearest, N))
-            distance = clearance[chosen, stages] + own.radii[chosen]
+            clearance, away, distance = self._of_circles(path)
+            chosen = self._chosen(clearance)
+            point = np.arange(own.points - 1)
+            away, distance = away[chosen, point], distance[chosen, point]
             inside = distance < 1e-9  # at the very center every direction is as good: the first axis
-            direction = np.where(inside[..., None], [1.0, 0.0],
-                                 away[chosen, stages] / np.maximum(distance, 1e-9)[..., None])
-            normals[:, fixed:] = 0.0
+            direction = np.where(inside[..., None], [1.0, 0.0], away / np.maximum(distance, 1e-9)[..., None])
             normals[:, fixed:, own.columns[:2]] = direction.swapaxes(0, 1)
-            lacking[:, fixed:] = -clearance[chosen, stages].T
-            piece, share = piece[chosen, stages].T, share[chosen, stages].T[..., None]
-            weights[:, fixed:] = (1.0 - share) * own.weights[piece, 1:] + share * own.weights[piece + 1, 1:]
-        return normals, weights, lacking + own.margins[:, None]
+            lacking[:, fixed:] = -clearance[chosen, point].T
+        lacking += np.repeat(own.margins, PARTS)[:, None]
+        weights = np.repeat(own.weights[1:, 2:], each, axis=0).reshape(own.horizon, -1, own.horizon)
+        return normals.reshape(own.horizon, -1, p), weights, lacking.reshape(own.horizon, -1)
 
-    def _of_walls(self, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Smallest clearance of each stage from box and half-planes, and the point of the path where, (N, ·)."""
+    def _chosen(self, clearance: np.ndarray) -> np.ndarray:
+        """(nearest, points): the circles nearest to the path at each point's stage."""
         own = self.constraints
-        clearance = (path[1:] @ own.normals.T - own.offsets).reshape(own.horizon, PARTS, -1)
-        place = clearance.argmin(axis=1)
-        return np.take_along_axis(clearance, place[:, None], axis=1)[:, 0], \
-            place + 1 + PARTS * np.arange(own.horizon)[:, None]
+        if own.nearest == len(own.circles):
+            return np.broadcast_to(np.arange(own.nearest)[:, None], (own.nearest, own.points - 1))
+        closest = clearance.reshape(len(own.circles), own.horizon, PARTS).min(axis=-1)
+        # in their own order: a solver that starts from its last solution finds every row where it was
+        chosen = np.sort(np.argpartition(closest, own.nearest - 1, axis=0)[:own.nearest], axis=0)
+        return np.repeat(chosen, PARTS, axis=1)
 
-    def _of_circles(self, path: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Of every circle at each stage, (circles, N): the clearance of the nearest point of the path; that point seen
-        from the center (·, ·, 2); its piece of the path, and its share of the way along this piece.
+    def _of_circles(self, path: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of every circle at each point but the start, (circles, N PARTS): the clearance, lessened by how deep the
+        straight pieces dip; the point seen from the center, (·, ·, 2), and its distance.
         """
         own = self.constraints
         seen = path[:, own.columns[:2]] - self._centers
-        first, along = seen[:, :-1], np.diff(seen, axis=1)
-        length = np.maximum(np.square(along).sum(axis=-1), 1e-30)
-        share = np.clip(-(first * along).sum(axis=-1) / length, 0.0, 1.0)
-        share[:, 0] = 1.0  # the first piece counts by its end
-        away = first + share[..., None] * along
-        squared = np.square(away).sum(axis=-1).reshape(len(own.circles), own.horizon, PARTS)
-        piece = squared.argmin(axis=-1) + PARTS * np.arange(own.horizon)
-        circle = np.arange(len(own.circles))[:, None]
-        clearance = np.sqrt(squared.min(axis=-1)) - own.radii[:, None]
-        return clearance, away[circle, piece], piece, share[circle, piece]
+        lengths = np.square(np.diff(seen, axis=1)).sum(axis=-1)
+        longer = lengths.copy()
+        longer[:, :-1] = np.maximum(lengths[:, :-1], lengths[:, 1:])
+        away = seen[:, 1:]
+        distance = np.sqrt(np.square(away).sum(axis=-1))
+        return distance - np.sqrt(np.square(own.radii)[:, None] + 0.25 * longer), away, distance
 
     def violations(self, outputs: np.ndarray) -> np.ndarray:
-        """max(0, violation) of every constraint, margins included, at every stage, (N, ·) m; circles exact."""
+        """max(0, violation) of every constraint, margins included, at every point, (N PARTS, ·) m; circles exact."""
         own, path = self.constraints, self.path(outputs)
-        found = [-self._of_walls(path)[0]] if len(own.offsets) else []
+        found = [own.offsets - path[1:] @ own.normals.T] if len(own.offsets) else []
         if own.circles:
             found.append(-self._of_circles(path)[0].T)
-        return np.maximum(np.concatenate(found, axis=1) + own.margins[:, None], 0.0)
+        return np.maximum(np.concatenate(found, axis=1) + np.repeat(own.margins, PARTS)[:, None], 0.0)
 
     def penalty(self, outputs: np.ndarray) -> float:
         """The penalty of y_1 … y_N."""
@@ -183,13 +173,15 @@ class ConstraintsAhead:
 
 
 def path_weights(steps: int, parts: int) -> np.ndarray:
-    """(steps · parts + 1, steps + 1): points of the path from y_0 to y_steps as weighted sums of y_0 … y_steps.
+    """(steps · parts + 1, steps + 2): points of the path as weighted sums of y_0, T dy_0/dt, y_1 … y_steps.
 
-    At t = 0, 1/parts, … steps: the polynomial through the four whole numbers next to t, two on either side where there
-    are (Lagrange), through all where there are fewer; exact for paths of degree three.
+    At t/T = 0, 1/parts, … steps. In the first step the parabola that leaves y_0 with its velocity and arrives at y_1,
+    exact where the acceleration is constant while an input is held; after it the polynomial through the four outputs
+    next to t, two on either side where there are (Lagrange), exact for paths of degree three.
 
-    >>> path_weights(3, 2)[3]
-    array([-0.0625,  0.5625,  0.5625, -0.0625])
+    >>> path_weights(3, 2)[[1, 3]]
+    array([[ 0.75  ,  0.25  ,  0.25  ,  0.    ,  0.    ],
+           [-0.0625,  0.    ,  0.5625,  0.5625, -0.0625]])
     """
     times, count = np.arange(steps * parts + 1) / parts, min(4, steps + 1)
     weights = np.zeros((len(times), steps + 1))
@@ -199,6 +191,10 @@ def path_weights(steps: int, parts: int) -> np.ndarray:
         for node in nodes:
             others = nodes[nodes != node]
             row[node] = np.prod((time - others) / (node - others))
+    weights = np.insert(weights, 1, 0.0, axis=1)
+    share = times[:parts]
+    weights[:parts] = 0.0
+    weights[:parts, :3] = np.stack([1.0 - share**2, share - share**2, share**2], axis=1)
     return weights
 
 

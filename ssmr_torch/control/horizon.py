@@ -15,6 +15,9 @@ from ssmr_torch.control import condensing, kernel
 from ssmr_torch.control.problem import TrackingProblem
 from ssmr_torch.lazy import found
 
+# T dy/dt from y_0 and those one, two and three periods later: differences of first to third order.
+VELOCITY = [np.array([-1.0, 1.0]), np.array([-1.5, 2.0, -0.5]), np.array([-11.0, 18.0, -9.0, 2.0]) / 6]
+
 
 class Condensed(NamedTuple):
     """The problem around the inputs U: states (N+1, n), outputs y_1 … y_N (N, p), and in v = u / input_scale
@@ -60,9 +63,12 @@ class Horizon(ABC):
     def _seen(self, outputs: np.ndarray) -> np.ndarray:
         return outputs if self.output_offset is None else outputs + self.output_offset
 
-    def outputs_at(self, state: np.ndarray) -> np.ndarray:
-        """y (p,) of one state (n,), with the disturbance of the output."""
-        return self._seen(self.model.decode(state[None]))[0]
+    def start(self, state: np.ndarray, held: np.ndarray) -> np.ndarray:
+        """(2, p): y_0 of a state (n,), and T dy/dt there: by the predictions under the input held so far (m,)."""
+        here = self._seen(self.model.decode(state[None]))[0]
+        later = self.rollout(state, np.tile(held, (self.problem.horizon, 1)))[1]
+        weights = VELOCITY[min(len(later), len(VELOCITY)) - 1]
+        return np.stack([here, weights[0] * here + weights[1:] @ later[:len(weights) - 1]])
 
     def rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """States (N+1, n) and outputs y_1 … y_N (N, p) from state (n,) under inputs (N, m)."""

@@ -72,9 +72,9 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     """
     start = perf_counter()
     reference = problem.reference_ahead(time) if reference is None else reference
-    ahead = None if problem.constraints is None \
-        else problem.constraints.ahead(time, problem.period, horizon.outputs_at(state))
     inputs = problem.admissible(np.asarray(guess, dtype=np.float64), last_input)
+    ahead = None if problem.constraints is None else problem.constraints.ahead(
+        time, problem.period, horizon.start(state, inputs[0] if last_input is None else last_input))
     bounds = problem.scaled_bounds(last_input)
     solution, status, iterations, kept = None, Status.ITERATION_LIMIT, 0, True
     if prepared is None:
