@@ -145,6 +145,18 @@ class ModelPredictiveController(DataSheet):
         self._sample += 1
         return command
 
+    def follow(self, observation: np.ndarray, last_input: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The state now and the offsets of `Estimator.state`, from a measurement that comes after last_input (m,).
+
+        For runs that something else steered: nothing is planned, and `reset` must come before the next call of this
+        controller.
+        """
+        self._applied.append(np.array(last_input, dtype=np.float64))
+        with np.errstate(over="ignore", invalid="ignore"):
+            self.estimator.measure(np.array(observation, dtype=np.float64), self._applied[0])
+            state, self.horizon.input_offset, self.horizon.output_offset = self.estimator.state()
+            return (self._bridged(state) if self._age else state), self.horizon.input_offset, self.horizon.output_offset
+
     def prepare(self) -> None:
         """Linearize and condense around the plan for the next step; to be called when the input has been sent."""
         self._prepared = None
