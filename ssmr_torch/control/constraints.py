@@ -8,6 +8,8 @@ import numpy as np
 NEAREST = 3
 # points of the predicted path at which a control step is looked at, its end the last of them
 PARTS = 2
+# A hard constraint's linear penalty is multiplied by these, one after the other, until the program needs no slack.
+HEAVIER = (1e2, 1e4)
 
 
 class OutputConstraints:
@@ -27,7 +29,8 @@ class OutputConstraints:
     `centers(time)`, `center` (callable where it moves) and `radius`, half-planes with `normal` and `offset`, such as
     those of `tasks.obstacles`.
     output_bounds: (2, p) m, ±inf where there is no bound, or None. margins: (N,) m, by which every constraint is
-    tightened at its stage. hard: no violation where the inputs can avoid it, whatever tracking gains by it.
+    tightened at its stage. hard: no violation where the inputs can avoid it, whatever tracking gains by it: the linear
+    part then grows by the factors `HEAVIER`.
     Raises ValueError for crossed bounds or sizes that disagree.
     """
 
@@ -44,6 +47,8 @@ class OutputConstraints:
             self._centers[i] = circle.centers(np.zeros(self.points))
         self.tighten(np.zeros(horizon) if margins is None else margins)
         self.linear, self.quadratic, self.hard = float(linear), float(quadratic), bool(hard)
+        # what a violation costs where iterates are compared, 1/m
+        self.price = self.linear * (HEAVIER[-1] if self.hard else 1.0)
         if not (self.linear > 0 and self.quadratic > 0):
             raise ValueError(f"linear is {linear} and quadratic {quadratic}; expected positive weights of a violation")
         self.weights = path_weights(self.horizon, PARTS)
@@ -157,19 +162,22 @@ class ConstraintsAhead:
         distance = np.sqrt(np.square(away).sum(axis=-1))
         return distance - np.sqrt(np.square(own.radii)[:, None] + 0.25 * longer), away, distance
 
-    def violations(self, outputs: np.ndarray) -> np.ndarray:
-        """max(0, violation) of every constraint, margins included, at every point, (N PARTS, ·) m; circles exact."""
+    def clearances(self, outputs: np.ndarray) -> np.ndarray:
+        """Of every constraint at every point, less the margins, (N PARTS, ·) m; negative where it is violated."""
         own, path = self.constraints, self.path(outputs)
-        found = [own.offsets - path[1:] @ own.normals.T] if len(own.offsets) else []
+        found = [path[1:] @ own.normals.T - own.offsets] if len(own.offsets) else []
         if own.circles:
-            found.append(-self._of_circles(path)[0].T)
-        return np.maximum(np.concatenate(found, axis=1) + np.repeat(own.margins, PARTS)[:, None], 0.0)
+            found.append(self._of_circles(path)[0].T)
+        return np.concatenate(found, axis=1) - np.repeat(own.margins, PARTS)[:, None]
+
+    def violation(self, outputs: np.ndarray) -> float:
+        """The largest, m; 0 where every constraint is kept."""
+        return max(-float(self.clearances(outputs).min()), 0.0)
 
     def penalty(self, outputs: np.ndarray) -> float:
         """The penalty of y_1 … y_N."""
-        violation = self.violations(outputs)
-        own = self.constraints
-        return float(own.linear * violation.sum() + own.quadratic * np.square(violation).sum())
+        own, violation = self.constraints, np.maximum(-self.clearances(outputs), 0.0)
+        return float(own.price * violation.sum() + own.quadratic * np.square(violation).sum())
 
 
 def path_weights(steps: int, parts: int) -> np.ndarray:

@@ -8,7 +8,7 @@ from time import perf_counter
 import numpy as np
 
 from ssmr_torch.control.condensing import output_rows
-from ssmr_torch.control.constraints import ConstraintsAhead
+from ssmr_torch.control.constraints import HEAVIER, ConstraintsAhead
 from ssmr_torch.control.horizon import Condensed, Horizon
 from ssmr_torch.control.problem import SLACK_SCALE, TrackingProblem
 from ssmr_torch.control.qp import QPSolution, QuadraticProgram
@@ -16,8 +16,6 @@ from ssmr_torch.status import Status
 
 ARMIJO = 1e-4
 HALVINGS = 12
-# A hard constraint's penalty is multiplied by these, one after the other, until the program needs no slack.
-HEAVIER = (1e2, 1e4)
 # Slack, of SLACK_SCALE, that is none.
 KEPT = 1e-3
 
@@ -32,7 +30,7 @@ class Plan:
     success, the inputs are usable although the sequence may not have converged.
     iterations: quadratic programs solved. primal_residual, dual_residual, gap: of the last one.
     solve_time: linearization, condensing and solution, s.
-    violation: the largest of the constraints' on the way to y_N, margins included, m; 0 without any.
+    violation: the largest of the constraints' on the way to y_N, margins included, m; NaN without any.
     """
 
     time: float
@@ -48,7 +46,7 @@ class Plan:
     dual_residual: float
     gap: float
     solve_time: float
-    violation: float = 0.0
+    violation: float = np.nan
 
     def shifted(self, steps: int = 1) -> np.ndarray:
         """The inputs from `steps` control steps later on, the last one repeated, (N, m)."""
@@ -113,7 +111,7 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
         states, outputs = horizon.rollout(state, inputs)
     if not kept and solution.status.success:
         status = Status.SOFTENED
-    violation = 0.0 if ahead is None else float(ahead.violations(outputs).max(initial=0.0))
+    violation = np.nan if ahead is None else ahead.violation(outputs)
     return _plan(time, states, inputs, outputs, reference, cost, status, solution, iterations, violation, start)
 
 
@@ -172,7 +170,7 @@ def _promised(problem, point: Condensed, inputs, proposed, outputs, ahead, x) ->
         return slope
     s = SLACK_SCALE * np.maximum(x[inputs.size:], 0.0)
     constraints = problem.constraints
-    there = constraints.linear * s.sum() + constraints.quadratic * np.square(s).sum()
+    there = constraints.price * s.sum() + constraints.quadratic * np.square(s).sum()
     return slope + there - ahead.penalty(outputs)
 
 

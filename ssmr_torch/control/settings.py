@@ -70,8 +70,8 @@ class PredictiveControlSettings(Settings):
             self._set(name, positive(name, getattr(self, name), unit))
         for name, unit in (("terminal_weight", "1/m²"), ("measurement_delay", "s")):
             self._set(name, non_negative(name, getattr(self, name), unit))
-        if not 0 < self.margin_quantile < 1:
-            raise ValueError(f"margin_quantile is {self.margin_quantile}; expected a share between 0 and 1")
+        if not (isinstance(self.margin_quantile, float) and 0 < self.margin_quantile < 1):
+            raise ValueError(f"margin_quantile is {self.margin_quantile!r}; expected a share between 0 and 1")
         if not isinstance(self.hard_constraints, bool):
             raise ValueError(f"hard_constraints is {self.hard_constraints!r}; expected true or false")
         self._set("input_weight", positive_or_none("input_weight", self.input_weight, "1/N²"))

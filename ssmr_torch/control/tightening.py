@@ -81,14 +81,16 @@ def _errors_of_controller(controller, run, columns, step, horizon, stride) -> np
         raise ValueError(f"a run has a timestep of {run.timestep} s; the controller expects its own, "
                          f"{controller.timestep} s")
     inputs, observation = np.asarray(run.input), np.asarray(run.observation)
+    late = whole_steps("measurement_delay", controller.settings.measurement_delay, run.timestep) \
+        if controller.settings.measurement_delay else 0
     model, starts, predicted = controller.horizon.model.at_timestep(run.timestep), [], []
     with np.errstate(over="ignore", invalid="ignore"):
         for k, (state, input_offset, output_offset) in enumerate(_followed(controller, observation, inputs)):
-            if k * run.timestep < SETTLING or k % stride or k + horizon * step >= len(observation):
+            if k * run.timestep < SETTLING or k % stride or k + horizon * step + late >= len(observation):
                 continue
             acting = inputs[k:k + horizon * step] + (0.0 if input_offset is None else input_offset)
             outputs = model.decode(model.states(state, acting)[step::step])
-            starts.append(k)
+            starts.append(k + late)  # what is predicted for now is measured that much later
             predicted.append((outputs + (0.0 if output_offset is None else output_offset))[:, columns])
     if not starts:
         return np.empty((0, horizon))
