@@ -31,8 +31,8 @@ class ClosedLoopRecord(DataSheet):
     truly was; measurement (T, p) m, what the controller saw of it, NaN where a sample was missing; input (T, m),
     commanded from time[k] to time[k+1]. fallback (T,) whether the controller fell back; statuses (T,) name of the
     Status, empty where nothing was decided; solve_time (T,) s of CPU time that the controller took, which other work on
-    the machine does not lengthen, and iterations (T,) programs solved; NaN and 0 where an input was held. violation (T,)
-    m: the largest of the constraints that the plan foresaw, margins included; NaN where nothing was planned under
+    the machine does not lengthen, and iterations (T,) programs solved; NaN and 0 where an input was held. violation
+    (T,) m: the largest of the constraints that the plan foresaw, margins included; NaN where nothing was planned under
     constraints, and everywhere in records that know none.
     """
 

@@ -17,9 +17,9 @@ class OutputConstraints:
 
         penalty = Σ over points and constraints of  linear · s + quadratic · s²,   s = max(0, violation) in m,
 
-    exact where `linear` exceeds what tracking gains by a violation. The path starts at y_0 with the velocity there, which
-    no input can change, and goes through y_1 … y_N; each stage is looked at in `PARTS` points (`path_weights`). The
-    straight piece of length l between two of them stays out of a circle where both keep √(radius² + l²/4) from its
+    exact where `linear` exceeds what tracking gains by a violation. The path starts at y_0 with the velocity there,
+    which no input can change, and goes through y_1 … y_N; each stage is looked at in `PARTS` points (`path_weights`).
+    The straight piece of length l between two of them stays out of a circle where both keep √(radius² + l²/4) from its
     center: so far is kept, with the longer of the pieces at a point.
     Circles enter the quadratic program as the half-plane that touches them at the place next to the present prediction,
     at the time of the point, and as the `NEAREST` ones of each stage only; the penalty counts all of them. What keeps

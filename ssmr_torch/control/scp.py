@@ -145,8 +145,8 @@ def _quadratic_program(problem: TrackingProblem, point: Condensed, inputs: np.nd
 def _solved(problem: TrackingProblem, program: QuadraticProgram, solver) -> tuple[QPSolution, bool]:
     """The program's solution, and whether it keeps the constraints where they are hard.
 
-    A penalty that exceeds the multipliers of the program without slack has its solution. So a hard program is solved
-    softly, and again with heavier penalties where it then needs slack: one that no input can keep has an answer as well.
+    A penalty that exceeds the multipliers of the program without slack has the same solution. So a hard program is
+    solved softly, and again with heavier penalties where it then needs slack: what no input can keep has an answer too.
     """
     solution, soft, constraints = solver.solve(program), problem.soft_rows, problem.constraints
     if constraints is None or not constraints.hard:

@@ -16,9 +16,9 @@ def prediction_margins(source, runs, columns, *, horizon: int | None = None, per
     source: a controller, which follows each run with its own estimator and predicts from the state and the disturbance
     that this gives, its delay bridged; it is reset afterwards. Or a model, which predicts from its chart, as a
     controller without an observer does; it needs horizon, N steps, and period, s, which a controller knows itself.
-    Either predicts from every `stride`-th sample under the recorded inputs. With probability `quantile` a plan that keeps
-    this margin keeps the constraint, as far as the runs are like what comes [constraint tightening from residuals: Hewing
-    et al., Annual Review of Control 2020, section 3]. The noise of the runs' measurements is in it.
+    Either predicts from every `stride`-th sample under the recorded inputs. With probability `quantile` a plan that
+    keeps this margin keeps the constraint, as far as the runs are like what comes [constraint tightening from residuals:
+    Hewing et al., Annual Review of Control 2020, section 3]. The noise of the runs' measurements is in it.
 
     runs: of `observation` (T, p) m, `input` (T, m), `timestep` s, such as held-out `Trajectory`s.
     Raises ValueError for a quantile that is none, for runs of another timestep than the controller's, or where no run

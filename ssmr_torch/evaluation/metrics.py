@@ -145,8 +145,8 @@ def resampled(time: np.ndarray, position: np.ndarray, spacing: float = JUDGED_EV
     """Times (K,) s, `spacing` apart and the samples' own among them, and positions (K, q) m of the cubic spline there.
 
     time (T,) s, increasing; position (T, q) m, finite. The spline passes through every sample, with continuous velocity
-    and acceleration (SciPy's CubicSpline, not-a-knot). Raises ValueError for times that do not increase, or numbers that
-    are not finite.
+    and acceleration (SciPy's CubicSpline, not-a-knot). Raises ValueError for times that do not increase, or numbers
+    that are not finite.
     """
     from scipy.interpolate import CubicSpline  # a controller that reads nothing but a run needs no SciPy
 
