@@ -18,7 +18,7 @@ import numpy as np
 from control_step import machine
 from robots import kept
 
-from ssmr_torch import configuration
+from ssmr_torch import artifact, configuration
 from ssmr_torch.closed_loop import simulate
 from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.control.observers import KalmanObserver
@@ -88,6 +88,7 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--plant", default="slow_manifold", help="its name in conf/plant")
     parser.add_argument("--folder", type=Path, help="keep the recording here, and read it from there the next time")
     parser.add_argument("--kind", default="auto", help="kind of model that is fitted")
+    parser.add_argument("--artifact", help="folder of a model to take instead of fitting one")
     parser.add_argument("--sets", type=int, default=100, help="sets of circles")
     parser.add_argument("--first", type=int, default=0, help="seed of the first set")
     parser.add_argument("--half-size", type=float, default=0.020, help="of the letters, m")
@@ -102,8 +103,8 @@ def main(arguments: list[str] | None = None) -> int:
     given = options().parse_args(arguments)
     configuration.register()
     data = kept(given.plant, given.folder)
-    plant, model = configuration.built(configuration.composed("collect", [f"plant={given.plant}"]).plant), \
-        fit(data, given.kind)
+    plant = configuration.built(configuration.composed("collect", [f"plant={given.plant}"]).plant)
+    model = artifact.load(given.artifact).model if given.artifact else fit(data, given.kind)
     runs = [run.read() for run in data.select("test", kind="controlled")] if given.quantile else []
     settings = {"hard_constraints": given.hard} | ({"margin_quantile": given.quantile} if given.quantile else {})
     print(machine("numba", "proxsuite"))

@@ -71,8 +71,7 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     start = perf_counter()
     reference = problem.reference_ahead(time) if reference is None else reference
     inputs = problem.admissible(np.asarray(guess, dtype=np.float64), last_input)
-    ahead = None if problem.constraints is None else problem.constraints.ahead(
-        time, problem.period, horizon.start(state, inputs[0] if last_input is None else last_input))
+    ahead = horizon.constraints_ahead(time, state, inputs[0] if last_input is None else last_input)
     bounds = problem.scaled_bounds(last_input)
     solution, status, iterations, kept = None, Status.ITERATION_LIMIT, 0, True
     if prepared is None:
@@ -111,8 +110,7 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
         states, outputs = horizon.rollout(state, inputs)
     if not kept and solution.status.success:
         status = Status.SOFTENED
-    violation = np.nan if ahead is None else ahead.violation(outputs)
-    return _plan(time, states, inputs, outputs, reference, cost, status, solution, iterations, violation, start)
+    return _plan(time, states, inputs, outputs, reference, cost, status, solution, iterations, ahead, start)
 
 
 def _quadratic_program(problem: TrackingProblem, point: Condensed, inputs: np.ndarray,
@@ -191,11 +189,11 @@ def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slo
 
 
 def _plan(time, states, inputs, outputs, reference, cost, status, solution: QPSolution | None, iterations,
-          violation, start) -> Plan:
+          ahead, start) -> Plan:
     if solution is None:
         residuals, qp_status = (np.inf, np.inf, np.inf), status
     else:
         residuals = (solution.primal_residual, solution.dual_residual, solution.gap)
         qp_status = status if status is Status.NOT_FINITE else solution.status
     return Plan(time, states, inputs, outputs, reference, cost, status, qp_status, iterations, *residuals,
-                perf_counter() - start, violation)
+                perf_counter() - start, np.nan if ahead is None else ahead.violation(outputs))

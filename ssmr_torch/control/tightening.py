@@ -17,8 +17,8 @@ def prediction_margins(source, runs, columns, *, horizon: int | None = None, per
     that this gives, its delay bridged; it is reset afterwards. Or a model, which predicts from its chart, as a
     controller without an observer does; it needs horizon, N steps, and period, s, which a controller knows itself.
     Either predicts from every `stride`-th sample under the recorded inputs. With probability `quantile` a plan that
-    keeps this margin keeps the constraint, as far as the runs are like what comes [constraint tightening from residuals:
-    Hewing et al., Annual Review of Control 2020, section 3]. The noise of the runs' measurements is in it.
+    keeps this margin keeps the constraint, as far as the runs are like what comes [constraint tightening from
+    residuals: Hewing et al., Annual Review of Control 2020, section 3]. The noise of the runs' measurements is in it.
 
     runs: of `observation` (T, p) m, `input` (T, m), `timestep` s, such as held-out `Trajectory`s.
     Raises ValueError for a quantile that is none, for runs of another timestep than the controller's, or where no run
@@ -49,11 +49,18 @@ def tightened(controller, runs, quantile: float | None = None):
     """The same controller, its constraints tightened by its `prediction_margins` on these runs.
 
     quantile: that of the setting margin_quantile where None is given. The settings then hold the margins, also where
-    the task has no constraints. Raises ValueError as `prediction_margins` does.
+    the task has no constraints. Raises ValueError as `prediction_margins` does, and where the error at the horizon's
+    end exceeds the runs' own reach: such a margin leaves no room, and the model says nothing that far ahead.
     """
     quantile = controller.settings.margin_quantile if quantile is None else float(quantile)
     tracked = np.flatnonzero(controller.problem.output_weight)
+    runs = list(runs)
     found = prediction_margins(controller, runs, tracked, quantile=quantile)
+    reach = max(np.nanmax(np.linalg.norm(np.asarray(run.observation)[:, tracked], axis=1)) for run in runs)
+    if not found[-1] <= reach:
+        raise ValueError(f"the {quantile:g} quantile of the errors of prediction is {found[-1]:.3g} m after "
+                         f"{len(found)} steps of {controller.period} s; the runs reach {reach:.3g} m. A margin of this "
+                         "size means nothing: take a better model, a shorter horizon or a smaller quantile")
     controller.settings = controller.settings.changed(margins=found, margin_quantile=quantile)
     if controller.problem.constraints is not None:
         controller.problem.constraints.tighten(found)

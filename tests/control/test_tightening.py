@@ -100,6 +100,13 @@ def test_a_run_of_another_timestep_than_the_controllers_is_refused(bench):
         prediction_margins(bench.oscillators(), [run], (0, 1), horizon=5)
 
 
+def test_a_model_whose_predictions_leave_the_reach_of_the_runs_gives_no_margin(bench):
+    model = bench.oscillators()
+    wild = replace(model, dynamics=40.0 * model.dynamics)
+    with pytest.raises(ValueError, match="errors of prediction is .* m after 5 steps .* the runs reach"):
+        tightened(controller_of(wild, bench), [run_of(model, bench)])
+
+
 def test_with_margins_a_wrong_model_stays_out_of_the_obstacle_that_it_enters_without(bench):
     model, wrong = bench.oscillators(), bench.perturbed(bench.oscillators(), 0.05)
     circle = Circle((0.0106, -0.0125), 0.004)
