@@ -27,6 +27,7 @@ from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.fitting.by_kind import fit
 from ssmr_torch.tasks.obstacles import random_circles
 from ssmr_torch.tasks.symbols import symbol
+from ssmr_torch.trajectory import Trajectory
 
 # Of the inputs' range: the weight that the defaults give a cable of 1.5 N on the finite-element trunk.
 INPUT_WEIGHT = 2250.0
@@ -58,14 +59,19 @@ def letters(seed: int, half_size: float, duration: float, tracked=("tip_x", "tip
 def designed(model, plant, task, runs, **settings) -> ModelPredictiveController:
     """The controller for this task; runs: those that tighten it, none where they are empty."""
     span = plant.input_bounds[1] - plant.input_bounds[0]
-    settings = {"input_weight": INPUT_WEIGHT / span**2,
-                "observer": partial(KalmanObserver, disturbance="output")} | settings
     controller = ModelPredictiveController(model, task, plant.input_bounds, timestep=plant.timestep,
-                                           output_names=plant.output_names, **settings)
+                                           output_names=plant.output_names, input_weight=INPUT_WEIGHT / span**2,
+                                           **settings)
     return tightened(controller, runs) if runs else controller
 
 
-def outcome(seed: int, plant, controller, task, noise_std: float = 3e-5) -> Outcome:
+def noisy(run: Trajectory, noise_std: float) -> Trajectory:
+    """The run as the controller's sensors would have seen it."""
+    noise = noise_std * np.random.default_rng(0).standard_normal(run.observation.shape)
+    return Trajectory(run.time, run.observation + noise, run.input)
+
+
+def outcome(seed: int, plant, controller, task, noise_std: float) -> Outcome:
     """The controller on the plant through the task, judged."""
     record = simulate(plant, controller, task, seed=seed, noise_std=noise_std)
     found = closed_loop_metrics(record, task.obstacles)
@@ -94,6 +100,9 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--half-size", type=float, default=0.020, help="of the letters, m")
     parser.add_argument("--duration", type=float, default=10.0, help="of the drawing, s")
     parser.add_argument("--quantile", type=float, default=0.99, help="of the errors that give the margins; 0: none")
+    parser.add_argument("--noise", type=float, default=3e-5, help="of every measured value, m")
+    parser.add_argument("--chart", action="store_true", help="the state from the chart alone, without an observer")
+    parser.add_argument("--process-noise", type=float, default=1e-3, help="of the observer, see KalmanObserver")
     parser.add_argument("--hard", action="store_true", help="constraints that the inputs can keep are kept")
     return parser
 
@@ -105,8 +114,10 @@ def main(arguments: list[str] | None = None) -> int:
     data = kept(given.plant, given.folder)
     plant = configuration.built(configuration.composed("collect", [f"plant={given.plant}"]).plant)
     model = artifact.load(given.artifact).model if given.artifact else fit(data, given.kind)
-    runs = [run.read() for run in data.select("test", kind="controlled")] if given.quantile else []
-    settings = {"hard_constraints": given.hard} | ({"margin_quantile": given.quantile} if given.quantile else {})
+    runs = [noisy(run.read(), given.noise) for run in data.select("test", kind="controlled")] if given.quantile else []
+    observer = None if given.chart else partial(KalmanObserver, process_noise=given.process_noise)
+    settings = {"hard_constraints": given.hard, "observer": observer} \
+        | ({"margin_quantile": given.quantile} if given.quantile else {})
     print(machine("numba", "proxsuite"))
     outcomes: list[Outcome] = []
     for seed in range(given.first, given.first + given.sets):
@@ -114,7 +125,7 @@ def main(arguments: list[str] | None = None) -> int:
         controller = designed(model, plant, task, runs, **settings)
         if not outcomes and controller.settings.margins is not None:
             print("margins: " + ", ".join(f"{1e3 * margin:.3g}" for margin in controller.settings.margins) + " mm")
-        outcomes.append(outcome(seed, plant, controller, task))
+        outcomes.append(outcome(seed, plant, controller, task, given.noise))
         if outcomes[-1].depth > 0:
             print(f"set {seed}: inside {100 * outcomes[-1].inside:.3g} % of the time, by "
                   f"{1e3 * outcomes[-1].depth:.3g} mm", flush=True)
