@@ -48,6 +48,7 @@ benchmark: .venv/installed
 	$(BIN)/python experiments/benchmarks/control_comparison.py
 	$(BIN)/python experiments/benchmarks/control_scaling.py
 	$(BIN)/python experiments/benchmarks/control_endurance.py
+	$(BIN)/python experiments/benchmarks/control_hostile.py
 	$(BIN)/python experiments/benchmarks/plant_step.py
 
 clean:

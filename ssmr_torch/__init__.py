@@ -12,6 +12,7 @@ Plant ─collect→ Trajectories ─fit→ Model ─export→ Artifact ─→ Co
     print(ssmr.compare(data))                      # the chosen model and all baselines at their best
     outputs = model.predict(window, inputs)
     model.save("artifact"); model = ssmr.load("artifact")
+    controller, report = ssmr.design("auto", data, task, plant.input_bounds)          # from the recordings alone
     controller = ssmr.ModelPredictiveController(model, task, plant.input_bounds, output_names=plant.output_names)
     record = ssmr.simulate(plant, controller, task)
 
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from ssmr_torch.closed_loop import ClosedLoopRecord
     from ssmr_torch.control.mpc import ModelPredictiveController
     from ssmr_torch.control.settings import PredictiveControlSettings
+    from ssmr_torch.controller_design.design import design
+    from ssmr_torch.controller_design.rehearsal import rehearse
     from ssmr_torch.data.arrays import trajectories
     from ssmr_torch.face import check, load, read, simulate
     from ssmr_torch.fitting.by_kind import fit
@@ -39,12 +42,14 @@ if TYPE_CHECKING:
     from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 __all__ = ["ClosedLoopRecord", "ModelPredictiveController", "PredictiveControlSettings", "TrainedModel", "Trajectory",
-           "TrajectoryDataset", "check", "compare", "fit", "load", "plants", "read", "score", "simulate", "tasks",
-           "trajectories"]
+           "TrajectoryDataset", "check", "compare", "design", "fit", "load", "plants", "read", "rehearse", "score",
+           "simulate", "tasks", "trajectories"]
 
 __getattr__, __dir__ = lazily(__name__, {
     **{name: f"ssmr_torch.face:{name}" for name in ("check", "load", "read", "simulate")},
     "trajectories": "ssmr_torch.data.arrays:trajectories", "fit": "ssmr_torch.fitting.by_kind:fit",
+    "design": "ssmr_torch.controller_design.design:design",
+    "rehearse": "ssmr_torch.controller_design.rehearsal:rehearse",
     "compare": "ssmr_torch.fitting.compare:compare",
     "score": "ssmr_torch.score_table:score", "TrainedModel": "ssmr_torch.trained_model:TrainedModel",
     "Trajectory": "ssmr_torch.trajectory:Trajectory", "TrajectoryDataset": "ssmr_torch.trajectory:TrajectoryDataset",

@@ -32,8 +32,8 @@ HOMES = {
     "onnx": ["deployment/onnx_program.py"], "onnxruntime": ["deployment/onnx_program.py"],
     "casadi": ["deployment/casadi_program.py"],
     "hydra": ["configuration.py"], "omegaconf": ["configuration.py"],
-    "h5py": ["trajectory.py", "closed_loop.py", "data/*", "reproduction/sections.py"],
-    "yaml": ["data/card.py"],
+    "h5py": ["trajectory.py", "closed_loop.py", "commissioning/directory.py", "data/*", "reproduction/sections.py"],
+    "yaml": ["data/card.py", "commissioning/card.py"],
     "matplotlib": ["evaluation/*figures.py"],
     "jinja2": ["evaluation/report.py"], "markupsafe": ["evaluation/report.py"],
     "meshio": ["plants/finite_element/mesh_files.py"], "fontTools": ["tasks/symbols.py"],
@@ -54,8 +54,9 @@ STARTS_EXPERIMENTS = {"command.py"}
 # Who touches files; all else takes and returns arrays.
 TOUCHES_FILES = [
     "trajectory.py", "artifact.py", "closed_loop.py", "provenance.py", "published_models.py", "runner.py", "command.py",
-    "defaults.py", "data/*", "deployment/deploy.py", "fitting/by_kind.py", "fitting/checkpoints.py",
-    "evaluation/*figures.py", "evaluation/report.py", "evaluation/sections.py", "reproduction/sections.py",
+    "commissioning/directory.py", "defaults.py", "data/*", "deployment/deploy.py", "fitting/by_kind.py",
+    "fitting/checkpoints.py", "evaluation/*figures.py", "evaluation/report.py", "evaluation/sections.py",
+    "reproduction/sections.py",
     "plants/finite_element/mesh_files.py", "tasks/symbols.py", "view/rerun_view.py"]
 NAMELESS = {"utils", "util", "helpers", "helper", "common", "misc", "manager"}
 

@@ -25,6 +25,9 @@ class QPSolvers:
                              f"available: {sorted(qpsolvers.available_solvers)}")
         self.name, self.tolerance, self.options = name, float(tolerance), options
 
+    # as in `Workspace`
+    deadline = np.inf
+
     def reset(self) -> None:
         """Nothing is kept between problems."""
 
@@ -42,7 +45,7 @@ class QPSolvers:
             qpsolvers.Problem(problem.H, problem.g, G, h, lb=problem.lower, ub=problem.upper),
             self.name, **self.options)
         if not found.found:
-            return QPSolution.none(problem, problem.failure())
+            return QPSolution.none(problem, problem.failure() if self.deadline == np.inf else Status.ITERATION_LIMIT)
         rows = np.zeros(problem.rows)
         if G is not None:
             rows[upper] += found.z[:upper.sum()]

@@ -51,6 +51,21 @@ def whole_steps(name: str, time: float, timestep: float) -> int:
     return whole_multiple(name, time, "the timestep of the measurements", timestep)
 
 
+def changed_bounds(bounds, shape: tuple[int, int]) -> np.ndarray:
+    """Input bounds (2, m) that take the place of others of this shape; equal ones are those of a dead actuator.
+
+    Raises ValueError, with both numbers, for bounds that are not finite or crossed, and for another shape.
+    """
+    bounds = np.array(bounds, dtype=np.float64)
+    if bounds.shape != shape:
+        raise ValueError(f"input_bounds has shape {bounds.shape}; expected {shape}: lowest and highest input")
+    for place, (lower, upper) in enumerate(bounds.T):
+        if not (np.isfinite(lower) and np.isfinite(upper) and lower <= upper):
+            raise ValueError(f"input {place} is bounded by {lower} and {upper}; expected finite numbers, the lower one "
+                             "not above the upper one")
+    return bounds
+
+
 def admissible_input(name: str, given, bounds: np.ndarray) -> np.ndarray:
     """The input (m,) that was given; None: that within the bounds (2, m) which is nearest to zero.
 

@@ -7,11 +7,13 @@ linearization in NumPy for every other model.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from ssmr_torch.control import condensing, kernel
+from ssmr_torch.control.actuator import Actuator, lag_matrix, lagged
 from ssmr_torch.control.constraints import ConstraintsAhead
 from ssmr_torch.control.problem import TrackingProblem
 from ssmr_torch.lazy import found
@@ -23,8 +25,8 @@ VELOCITY = [np.array([-1.0, 1.0]), np.array([-1.5, 2.0, -0.5]), np.array([-11.0,
 class Condensed(NamedTuple):
     """The problem around the inputs U: states (N+1, n), outputs y_1 … y_N (N, p), and in v = u / input_scale
 
-        hessian (N m, N m) = 2 (Σ_k Y_kᵀ Q_k Y_k + R),   Y_k = ∂y_k/∂v,
-        gradient (N m,)    = 2 (Σ_k Y_kᵀ Q_k (y_k − ŷ_k) + R v),
+        hessian (N m, N m) = 2 (Σ_k Y_kᵀ Q_k Y_k + R + Dᵀ S D),   Y_k = ∂y_k/∂v,   D v = v_k − v_{k−1},
+        gradient (N m,)    = 2 (Σ_k Y_kᵀ Q_k (y_k − ŷ_k) + R (v − v̄) + Dᵀ S D v),
         linear (N m,)      = gradient − hessian v,
 
     the Gauss-Newton matrix and the exact gradient of the tracking cost / cost_scale, with Q and R scaled alike; the
@@ -45,20 +47,34 @@ class Horizon(ABC):
 
     input_offset (m,), output_offset (p,): of a constant disturbance, z⁺ = f(z, u + input_offset), y = w(z) +
     output_offset; None: none.
+    actuator: what follows a lag and gains instead of the planned inputs is what acts, from `lagged_from` (m,) on.
+    last_input: (m,), u_{−1}, from which moves count; None: the first input may be any.
     """
 
-    def __init__(self, model, problem: TrackingProblem):
+    def __init__(self, model, problem: TrackingProblem, actuator: Actuator | None = None):
         self.model, self.problem = model, problem
         self.input_offset: np.ndarray | None = None
         self.output_offset: np.ndarray | None = None
+        self.actuator = actuator if actuator is not None and (actuator.lag or actuator.gain or actuator.offset) else None
+        self.lagged_from = np.zeros(problem.input_dim)
+        self.last_input: np.ndarray | None = None
         self._weight = 2.0 * problem.stage_weight / problem.cost_scale
-        self._R = 2.0 * problem.input_weight * problem.input_scale**2 / problem.cost_scale
+        self._R = 2.0 * problem.input_weight / problem.cost_scale
+        self._mixing = None if self.actuator is None else lag_matrix(self.actuator, problem.horizon)
+        self._changes = _change_matrix(problem) if problem.moves else None
+        self._plain = self._mixing is None and self._changes is None and problem.huber is None \
+            and problem.input_target is None
+        # the weights of the inputs are added afterwards where they are more than a diagonal
+        self._own_R = self._R if self._plain else np.zeros_like(self._R)
 
     @abstractmethod
     def _rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`rollout` without a disturbance."""
+        """`rollout` without a disturbance, of inputs that act."""
 
     def _acting(self, inputs: np.ndarray) -> np.ndarray:
+        if self.actuator is not None:
+            actuator = self.actuator
+            inputs = lagged(inputs, self.lagged_from, actuator.share, actuator.factor, actuator.shift)
         return inputs if self.input_offset is None else inputs + self.input_offset
 
     def _seen(self, outputs: np.ndarray) -> np.ndarray:
@@ -84,8 +100,39 @@ class Horizon(ABC):
         return states, self._seen(outputs)
 
     @abstractmethod
+    def _condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
+        """`condense` by inputs that act, with `_own_R` and without moves."""
+
     def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
         """The problem around these inputs with ŷ_1 … ŷ_N = reference (N, p)."""
+        point = self._condense(state, inputs, reference)
+        return point if self._plain else self._with_inputs(point, inputs, reference)
+
+    def _with_inputs(self, point: Condensed, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
+        """By planned inputs, with their weights, those of their changes, and Huber's."""
+        Y, hessian, size = point.sensitivity, point.hessian, inputs.size
+        if self._mixing is not None:
+            Y = (Y.reshape(-1, size) @ self._mixing).reshape(Y.shape)
+        weight = self._weight_at(point.outputs, reference)
+        if weight is not self._weight:
+            hessian = condensing.gauss_newton(Y, weight, self._own_R)
+        elif self._mixing is not None:
+            hessian = self._mixing.T @ hessian @ self._mixing
+        hessian = hessian + self._of_inputs_alone
+        gradient, linear = self._gradients(hessian, Y, point.outputs, reference, inputs)
+        return point._replace(hessian=hessian, gradient=gradient, linear=linear, sensitivity=Y)
+
+    def _weight_at(self, outputs: np.ndarray, reference: np.ndarray) -> np.ndarray:
+        if self.problem.huber is None:
+            return self._weight
+        weight = self.problem.huber_weight(outputs, reference)
+        return self._weight if weight is self.problem.stage_weight else 2.0 / self.problem.cost_scale * weight
+
+    @cached_property
+    def _of_inputs_alone(self) -> np.ndarray:
+        """2 (R + Dᵀ S D) / cost_scale, (N m, N m)."""
+        whole = np.diag(np.tile(self._R, self.problem.horizon))
+        return whole if self._changes is None else whole + self._changes
 
     def moved(self, point: Condensed, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
         """The same linearization seen from another measured state and reference: the feedback phase."""
@@ -95,7 +142,14 @@ class Horizon(ABC):
 
     def _gradients(self, hessian, Y, outputs, reference, inputs) -> tuple[np.ndarray, np.ndarray]:
         scale = self.problem.input_scale
-        gradient = condensing.gradient(Y, outputs, reference, self._weight, self._R, inputs, scale)
+        weight = self._weight_at(outputs, reference)
+        target = self.problem.input_target
+        from_target = inputs if target is None else inputs - target
+        gradient = condensing.gradient(Y, outputs, reference, weight, self._R, from_target, scale)
+        if self._changes is not None:
+            gradient += self._changes @ (inputs / scale).ravel()
+            before = inputs[0] if self.last_input is None else self.last_input
+            gradient[:len(scale)] -= 2.0 * self.problem.move_weight / self.problem.cost_scale * before / scale
         return gradient, condensing.around(hessian, gradient, inputs, scale)
 
 
@@ -106,28 +160,28 @@ class LinearizedHorizon(Horizon):
         states = self.model.states(state, inputs)
         return states, self.model.decode(states[1:])
 
-    def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
+    def _condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
         acting = self._acting(inputs)
         states, outputs = self._rollout(state, acting)
         A, B, _ = self.model.linearize(states[:-1], acting)
         C, _ = self.model.linearize_output(states[1:])
         outputs, parts = self._seen(outputs), (np.ascontiguousarray(part) for part in (A, B, C))
         return Condensed(states, outputs, *condensing.condensed(outputs, *parts, reference, inputs,
-                                                                self.problem.input_scale, self._weight, self._R))
+                                                                self.problem.input_scale, self._weight, self._own_R))
 
 
 class CompiledHorizon(Horizon):
     """Tables of a kernel and its two functions, `rollout` and `condense`; `LinearizedHorizon` is the reference."""
 
-    def __init__(self, model, problem: TrackingProblem, tables, rollout, condense):
-        super().__init__(model, problem)
+    def __init__(self, model, problem: TrackingProblem, actuator, tables, rollout, condense):
+        super().__init__(model, problem, actuator)
         self._tables, self._compiled_rollout, self._compiled_condense = tables, rollout, condense
-        self._settings = problem.input_scale, self._weight, self._R
+        self._settings = problem.input_scale, self._weight, self._own_R
 
     def _rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return self._compiled_rollout(state, inputs, self._tables)
 
-    def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
+    def _condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
         target = reference if self.output_offset is None else reference - self.output_offset
         states, outputs, *program = self._compiled_condense(state, inputs, self._acting(inputs), target, self._tables,
                                                             *self._settings)
@@ -137,8 +191,8 @@ class CompiledHorizon(Horizon):
 class LinearHorizon(LinearizedHorizon):
     """z⁺ = A z + B u + c, y = C z + d: all matrices over the horizon are made once; a step costs two products."""
 
-    def __init__(self, model, problem: TrackingProblem):
-        super().__init__(model, problem)
+    def __init__(self, model, problem: TrackingProblem, actuator: Actuator | None = None):
+        super().__init__(model, problem, actuator)
         N, n, m = problem.horizon, model.state_dim, problem.input_dim
         zero, none = np.zeros(n), np.zeros((N, m))
         self._offset_states = model.states(zero, none)
@@ -146,10 +200,14 @@ class LinearHorizon(LinearizedHorizon):
         C, _ = model.linearize_output(zero)
         repeated = [np.ascontiguousarray(np.broadcast_to(part, (N, *part.shape))) for part in (A, B, C)]
         self._Y, self._Z = condensing.sensitivities(*repeated, problem.input_scale)
-        self._hessian = condensing.gauss_newton(self._Y, self._weight, self._R)
+        self._of_inputs = (self._Y.reshape(-1, N, m) / problem.input_scale).reshape(-1, N * m)
+        if self._mixing is not None:
+            self._Y = (self._Y.reshape(-1, N * m) @ self._mixing).reshape(self._Y.shape)
+        self._hessian = condensing.gauss_newton(self._Y, self._weight, self._own_R)
+        if not self._plain:
+            self._hessian += self._of_inputs_alone
         self._A, self._B, self._step = np.ascontiguousarray(A), B, self._offset_states[1]
         self._of_state = self._Z.reshape(-1, n)
-        self._of_inputs = (self._Y.reshape(-1, N, m) / problem.input_scale).reshape(-1, N * m)
         self._offset = model.decode(self._offset_states[1:])
 
     def _rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -162,12 +220,24 @@ class LinearHorizon(LinearizedHorizon):
 
     def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
         """The constant matrices; states holds the first state alone."""
-        outputs = self._seen(self._outputs(state, self._acting(inputs)))
-        gradients = self._gradients(self._hessian, self._Y, outputs, reference, inputs)
-        return Condensed(state[None], outputs, self._hessian, *gradients, self._Y, self._Z)
+        outputs, hessian = self._seen(self._outputs(state, self._acting(inputs))), self._hessian
+        weight = self._weight_at(outputs, reference)
+        if weight is not self._weight:
+            hessian = condensing.gauss_newton(self._Y, weight, self._own_R) + self._of_inputs_alone
+        gradients = self._gradients(hessian, self._Y, outputs, reference, inputs)
+        return Condensed(state[None], outputs, hessian, *gradients, self._Y, self._Z)
+
+    _condense = condense
 
 
-def horizon_for(model, problem: TrackingProblem) -> Horizon:
+def _change_matrix(problem: TrackingProblem) -> np.ndarray:
+    """2 Dᵀ S D / cost_scale, (N m, N m)."""
+    size, m = problem.horizon * problem.input_dim, problem.input_dim
+    D = np.eye(size) - np.eye(size, k=-m)
+    return D.T @ (np.tile(2.0 * problem.move_weight / problem.cost_scale, problem.horizon)[:, None] * D)
+
+
+def horizon_for(model, problem: TrackingProblem, actuator: Actuator | None = None) -> Horizon:
     """The fastest horizon for this model, stepping by the problem's period.
 
     Raises ValueError when the model's inputs or outputs are not those of the problem.
@@ -177,6 +247,8 @@ def horizon_for(model, problem: TrackingProblem) -> Horizon:
                          f"the problem has {problem.input_dim} and {problem.output_dim}")
     model = model.at_timestep(problem.period)
     if model.affine:
-        return LinearHorizon(model, problem)
+        return LinearHorizon(model, problem, actuator)
     compiled = found(model.compiled)(model) if model.compiled else None
-    return LinearizedHorizon(model, problem) if compiled is None else CompiledHorizon(model, problem, *compiled)
+    if compiled is None:
+        return LinearizedHorizon(model, problem, actuator)
+    return CompiledHorizon(model, problem, actuator, *compiled)

@@ -6,17 +6,21 @@ import numpy as np
 
 from ssmr_torch.control.condensing import compiled
 
-SOUND, NOT_FINITE, CROSSED = 0, 1, 2
+SOUND, NOT_FINITE, CROSSED, TOO_LARGE = 0, 1, 2, 3
 
 
 @compiled
-def soundness(H, g, lower, upper, C, row_lower, row_upper):
-    """NOT_FINITE for a number in the cost or the rows that is not finite, or a bound that is none; CROSSED bounds."""
-    total = 0.0
+def soundness(H, g, lower, upper, C, row_lower, row_upper, limit):
+    """NOT_FINITE for a number in the cost or the rows that is not finite, or a bound that is none; CROSSED bounds;
+    TOO_LARGE for an entry of the cost beyond the limit.
+    """
+    total, largest = 0.0, 0.0
     for i in range(len(g)):
         total += 0.0 * g[i]
+        largest = max(largest, abs(g[i]))
         for j in range(len(g)):
             total += 0.0 * H[i, j]
+            largest = max(largest, abs(H[i, j]))
     for q in range(len(row_lower)):
         for i in range(len(g)):
             total += 0.0 * C[q, i]
@@ -31,7 +35,9 @@ def soundness(H, g, lower, upper, C, row_lower, row_upper):
         crossed = crossed or row_lower[q] > row_upper[q]
     if total != 0.0:
         return NOT_FINITE
-    return CROSSED if crossed else SOUND
+    if crossed:
+        return CROSSED
+    return TOO_LARGE if largest > limit else SOUND
 
 
 @compiled

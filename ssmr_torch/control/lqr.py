@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from math import isfinite
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from ssmr_torch.control.base import Command, admissible_input, whole_steps
+from ssmr_torch.control.base import Command, admissible_input, changed_bounds, whole_steps
 from ssmr_torch.control.estimation import ChartEstimator
+from ssmr_torch.control.sampling import Sampling
 from ssmr_torch.control.settings import PredictiveControlSettings as Predictive
 from ssmr_torch.keywords import configurable
 from ssmr_torch.models.polynomial import PregainModel
@@ -32,6 +34,8 @@ class StaticPregainController:
     input_bounds, timestep, period, output_weight (1/m²), input_weight (1/N²), safe_input: as in
     `ModelPredictiveController`.
     A measurement that is not finite, or that leads to an input that is not, gives safe_input; `fallbacks` counts it.
+    Time and measurements are treated and counted, in `counts`, as in `ModelPredictiveController`; `input_bounds` can be
+    changed between steps.
     Raises ValueError for another model, or a period that is no multiple of the timestep.
     """
 
@@ -45,9 +49,10 @@ class StaticPregainController:
                              "model=koopman_lqr on data with static runs")
         self.timestep = float(model.window_timestep if timestep is None else timestep)
         self.period = float(period)
-        self._samples_per_step = whole_steps("period", period, self.timestep)
-        self.estimator = ChartEstimator(model, whole_steps("the model's window_timestep", model.window_timestep,
-                                                           self.timestep))
+        every = whole_steps("period", period, self.timestep)
+        stride = whole_steps("the model's window_timestep", model.window_timestep, self.timestep)
+        self.estimator = ChartEstimator(model, stride)
+        self._sampling = Sampling(model, self.timestep, every, max(every, model.delays * stride))
         self.bounds = np.array(input_bounds, dtype=np.float64)
         self.model, self.task, self.columns = model, task, list(task.columns(output_names))
         self.completion = completion(model.set_points, self.columns)
@@ -59,25 +64,44 @@ class StaticPregainController:
         self.gain = np.zeros((model.input_dim, model.state_dim))
         self.gain[:, varying] = regulator_gain(A[varying][:, varying], B[varying], C.T @ (weight[:, None] * C),
                                                input_weight * np.eye(model.input_dim), horizon)
-        self.safe_input = admissible_input("safe_input", safe_input, self.bounds)
+        self.safe_input = self._safe = admissible_input("safe_input", safe_input, self.bounds)
         self.reset()
+
+    @property
+    def counts(self) -> Counter[str]:
+        """How often what happened to time and measurements since the last reset, by name."""
+        return +self._sampling.counts
+
+    @property
+    def input_bounds(self) -> np.ndarray:
+        """(2, m), of the commands from now on; as in `ModelPredictiveController`."""
+        return self.bounds.copy()
+
+    @input_bounds.setter
+    def input_bounds(self, bounds) -> None:
+        self.bounds = changed_bounds(bounds, self.bounds.shape)
+        self.safe_input, self._last_input = (np.clip(u, *self.bounds) for u in (self._safe, self._last_input))
 
     def reset(self) -> None:
         """Forget measurements and counts."""
         self.estimator.reset()
-        self._last_input, self._sample = self.safe_input, 0
+        self._sampling.reset()
+        self._last_input = self.safe_input
         self.fallbacks: Counter[Status] = Counter()
 
     def __call__(self, time: float, observation: np.ndarray) -> Command:
-        """time in s; observation (p,), m. Raises ValueError for an observation of another size."""
-        observation = np.array(observation, dtype=np.float64)
-        if observation.shape != (self.model.output_dim,):
-            raise ValueError(f"the observation has shape {observation.shape}; expected ({self.model.output_dim},)")
-        self.estimator.measure(observation, self._last_input)
-        due = self._sample % self._samples_per_step == 0
-        command = self._decide(time) if due else Command(self._last_input.copy(), held=True)
+        """time in s; observation (p,), m, whatever its values. Raises ValueError for one of another size."""
+        sample = self._sampling.take(time, observation)
+        if not sample.new:
+            self.fallbacks[Status.WRONG_TIME] += 1
+            return Command(self._last_input.copy(), fallback=Status.WRONG_TIME)
+        if sample.anew:
+            self.estimator.reset()
+        for _ in range(sample.missed):
+            self.estimator.measure(np.full_like(sample.observation, np.nan), self._last_input)
+        self.estimator.measure(sample.observation, self._last_input)
+        command = self._decide(sample.time) if sample.due else Command(self._last_input.copy(), held=True)
         self._last_input = command.input.copy()
-        self._sample += 1
         return command
 
     def completed(self, reference: np.ndarray) -> np.ndarray:
@@ -85,6 +109,8 @@ class StaticPregainController:
         return np.concatenate([np.ones_like(reference[..., :1]), reference], axis=-1) @ self.completion
 
     def _decide(self, time: float) -> Command:
+        if not isfinite(time):
+            return self._fall_back()
         model = self.model
         window, held = self.estimator.window()
         ages = model.window_timestep * np.arange(model.delays, -1, -1)
@@ -93,9 +119,12 @@ class StaticPregainController:
             error = model.encode(window, held) - model.encode(wanted, held)
             intended = model.pregain @ np.r_[1.0, wanted[-1]] - self.gain @ error
         if not np.isfinite(intended).all():
-            self.fallbacks[Status.NOT_FINITE] += 1
-            return Command(self.safe_input.copy(), fallback=Status.NOT_FINITE)
+            return self._fall_back()
         return Command(np.clip(intended, *self.bounds))
+
+    def _fall_back(self) -> Command:
+        self.fallbacks[Status.NOT_FINITE] += 1
+        return Command(self.safe_input.copy(), fallback=Status.NOT_FINITE)
 
 
 def completion(set_points: np.ndarray, columns: list[int]) -> np.ndarray:

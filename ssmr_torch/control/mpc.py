@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from math import isfinite, sqrt
+from math import inf, isfinite, sqrt
+from time import thread_time
 
 import numpy as np
 
 from ssmr_torch import data_sheet as sheet
+from ssmr_torch.control.actuator import Actuator, ActuatorState
 from ssmr_torch.control.base import Command, admissible_input, whole_steps
 from ssmr_torch.control.condensing import continues
 from ssmr_torch.control.constraints import constraints_of
 from ssmr_torch.control.estimation import ChartEstimator
 from ssmr_torch.control.horizon import horizon_for
 from ssmr_torch.control.problem import TrackingProblem
+from ssmr_torch.control.sampling import Sample, Sampling
 from ssmr_torch.control.scp import Plan, solve_scp
 from ssmr_torch.control.settings import PredictiveControlSettings
 from ssmr_torch.control.solvers import solver_named
@@ -41,7 +44,11 @@ class ModelPredictiveController(DataSheet):
     perhaps `advance`, see `ProxQP`.
 
     A step that cannot be trusted falls back to the plan made last, then to safe_input, under the same bounds
-    and rate; `fallbacks` counts the reasons by Status. Everything is compiled and run once at construction.
+    and rate; `fallbacks` counts the reasons by Status, and `counts` what happened to time and measurements, see
+    `Sampling`, `KalmanObserver`, and below. The time of a call places it among the samples: skipped ones are told to
+    the estimator as missing, and where the time has jumped the controller begins anew from where the robot is.
+    `input_bounds` can be changed between steps without losing window, plan and observer. A controller can be copied and
+    pickled, and the copy gives the same commands, to the last bit. Everything is compiled and run once at construction.
     `prepare` may be called between two measurements: it linearizes and condenses around the shifted plan, and the next
     step only has to solve.
     Raises ValueError when a period is not a multiple of the timestep or sizes or names disagree, TypeError for a change
@@ -60,21 +67,24 @@ class ModelPredictiveController(DataSheet):
         model = self.model
         self.timestep = float(model.window_timestep if timestep is None else timestep)
         self.period = settings.period
-        self._samples_per_step = whole_steps("period", self.period, self.timestep)
+        every = whole_steps("period", self.period, self.timestep)
         stride = whole_steps("the model's window_timestep", model.window_timestep, self.timestep)
         self._age = whole_steps("measurement_delay", settings.measurement_delay, self.timestep) \
             if settings.measurement_delay else 0
+        self.actuator = ActuatorState(self._actuator(input_bounds))
+        self._lead = self.actuator.actuator.delay * self.timestep
         self.problem = self._problem(input_bounds, output_names)
-        self.horizon = horizon_for(model, self.problem)
-        self.safe_input = admissible_input("safe_input", settings.safe_input, self.problem.input_bounds)
+        self.horizon = horizon_for(model, self.problem, self.actuator.actuator)
+        self.safe_input = self._safe = admissible_input("safe_input", settings.safe_input, self._bounds)
         self.solver = solver_named(settings.qp, *self.problem.size) if solver is None else solver
         # with a rate limit and obstacles a start one stage on was found to take more iterations, not fewer
         self._advance = None if self.problem.input_step is not None else getattr(self.solver, "advance", None)
         self._largest_norm = settings.range_factor * float(np.linalg.norm(model.state_scale))
         # a model in discrete time need not know steps as short as the measurements'
         observer = settings.observer
-        self._fine = model.at_timestep(self.timestep) if observer or self._age else None
+        self._fine = model.at_timestep(self.timestep) if observer or self._age or self._lead else None
         self.estimator = observer(self._fine, self.problem.input_scale) if observer else ChartEstimator(model, stride)
+        self._sampling = Sampling(model, self.timestep, every, max(settings.horizon * every, model.delays * stride))
         self._warm_up()
 
     def data_sheet(self) -> tuple[str, dict]:
@@ -91,7 +101,44 @@ class ModelPredictiveController(DataSheet):
             "weights": f"outputs {settings.output_weight:g} 1/m², inputs {settings.input_weight}",
             "programs": f"{settings.iterations} per step, {settings.first_iterations} after a start",
             "state from": type(self.estimator).__name__,
-            "fallbacks": sum(self.fallbacks.values())}
+            "fallbacks": sum(self.fallbacks.values()),
+            "counted": ", ".join(f"{count} {name}" for name, count in sorted(self.counts.items())) or "nothing else"}
+
+    @property
+    def counts(self) -> Counter[str]:
+        """How often what happened since the last reset, by name; beside those of sampling and estimator: steps that
+        were "cut short" by the budget, or "late" all the same, and "arithmetic" that failed.
+        """
+        return self._counts + self._sampling.counts + getattr(self.estimator, "counts", Counter())
+
+    @property
+    def input_bounds(self) -> np.ndarray:
+        """(2, m), of the commands from now on; equal ones hold an actuator still.
+
+        Bounds that cannot be met at the allowed rate are met at once. Setting them raises ValueError, with both
+        numbers, where they are crossed or not finite.
+        """
+        return self._bounds.copy()
+
+    @input_bounds.setter
+    def input_bounds(self, bounds) -> None:
+        self.problem = self.horizon.problem = self.problem.bounded(self._plannable(bounds))
+        self._bounds = np.array(bounds, dtype=np.float64)
+        self.safe_input = np.clip(self._safe, *self._bounds)
+        self._last_input = np.clip(self._last_input, *self._bounds)
+        self._prepared = None
+
+    def _actuator(self, input_bounds) -> Actuator:
+        """That of the settings; Raises ValueError where it does not fit the measurements."""
+        given, (lower, upper) = self.settings.actuator, np.asarray(input_bounds, dtype=np.float64)
+        if given is None:
+            return Actuator(self.timestep, tuple((upper - lower).tolist()))
+        if len(given.input_range) != len(lower) or abs(given.timestep / self.timestep - 1.0) > 1e-3 \
+                or self.period > 1.001 * self.timestep:
+            raise ValueError(f"the actuator has {len(given.input_range)} inputs and steps of {given.timestep:g} s; "
+                             f"expected {len(lower)}, and the timestep {self.timestep:g} s as the period, which is "
+                             f"{self.period:g} s")
+        return given
 
     def _problem(self, input_bounds, output_names) -> TrackingProblem:
         settings, p, columns = self.settings, self.model.output_dim, self.task.columns(output_names)
@@ -103,69 +150,100 @@ class ModelPredictiveController(DataSheet):
         linear, quadratic = (2.0 * settings.horizon * PULL * weight, 10.0 * weight) \
             if settings.violation_weight is None else settings.violation_weight
         constraints = constraints_of(self.task, columns, p, settings, linear=linear, quadratic=quadratic)
-        return TrackingProblem(_Reference(self.task, columns, p), input_bounds, weight * tracked,
-                               settings.input_weight, settings.terminal_weight * tracked, settings.input_rate,
-                               settings.horizon, settings.period, constraints)
+        self._reference = _Reference(self.task, columns, p, settings.approach)
+        self._bounds = np.array(input_bounds, dtype=np.float64)
+        whole = {"input_range": np.ptp(self._bounds, axis=0)} if self.actuator.actuator.rubs else {}
+        return TrackingProblem(self._reference, self._plannable(self._bounds), weight * tracked, settings.input_weight,
+                               settings.terminal_weight * tracked, settings.input_rate, settings.horizon,
+                               settings.period, constraints, settings.move_weight, settings.huber,
+                               input_target=settings.input_target, **whole)
+
+    def _plannable(self, bounds) -> np.ndarray:
+        """Of what is planned, under commands within bounds (2, m)."""
+        return self.actuator.actuator.reachable(bounds) if self.actuator.actuator.rubs else bounds
 
     def _warm_up(self) -> None:
+        self._budget = inf  # what is compiled takes its time
         self.reset()
         zero = np.zeros(self.model.output_dim)
-        for k in range(self._samples_per_step + 1):
+        for k in range(self._sampling.every + 1):
             self(k * self.timestep, zero)
             self.prepare()
         self.reset()
+        if self.settings.step_budget is not None:
+            self._budget = self.settings.step_budget * self.period
 
     def reset(self) -> None:
         """Forget measurements, plans and counts."""
         self.estimator.reset()
-        # the input before the measurement that comes next, and those since
-        self._applied = deque([self.safe_input] * (self._age + 1), maxlen=self._age + 1)
+        self._sampling.reset()
+        self.fallbacks: Counter[Status] = Counter()
+        self._counts: Counter[str] = Counter()
+        self.actuator.rest_at(self.safe_input)
         self._last_input = self.safe_input
+        self._start_anew()
+
+    def _start_anew(self) -> None:
+        """Forget the robot's past, all but the input that it was told last."""
+        getattr(self.estimator, "forget", self.estimator.reset)()
+        # what acted before the measurement that comes next, and since
+        self._applied = deque([self.actuator.acting] * (self._age + 1), maxlen=self._age + 1)
+        self._reference.begin_at(None, 0.0)
         self._plan: Plan | None = None
         self._planned_now, self._prepared = False, None
-        self._seen, self._repeats, self._input_then = None, 0, self.safe_input
-        self._sample = 0
-        self.fallbacks: Counter[Status] = Counter()
+        self._seen, self._repeats, self._input_then = None, 0, self._last_input
+        self.horizon.input_offset = self.horizon.output_offset = None
         self.solver.reset()
 
     def __call__(self, time: float, observation: np.ndarray) -> Command:
-        """time in s; observation (p,), m. Raises ValueError for an observation of another size."""
-        observation = np.array(observation, dtype=np.float64)
-        if observation.shape != (self.model.output_dim,):
-            raise ValueError(f"the observation has shape {observation.shape}; "
-                             f"expected ({self.model.output_dim},)")
-        self._watch_sensor(observation)
+        """time in s; observation (p,), m, whatever its values. Raises ValueError for one of another size."""
+        began = thread_time()
+        self._deadline = began + self._budget
+        if hasattr(self.solver, "deadline"):
+            self.solver.deadline = self._deadline
+        sample = self._sampling.take(time, observation)
+        if not sample.new:
+            self.fallbacks[Status.WRONG_TIME] += 1
+            return Command(self._last_input.copy(), fallback=Status.WRONG_TIME)
         # Overflow is no accident here: it is how a state far outside the model's range shows.
-        with np.errstate(over="ignore", invalid="ignore"):
-            self.estimator.measure(observation, self._applied[0])
-            due = self._sample % self._samples_per_step == 0
-            command = self._decide(time) if due else Command(self._last_input.copy(), held=True)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            try:
+                command = self._answered(sample)
+            except (ArithmeticError, np.linalg.LinAlgError):  # of a state or a measurement that no model knows
+                self._counts["arithmetic"] += 1
+                self._start_anew()
+                command = self._fall_back(sample.time, None, Status.NOT_FINITE)
         self._last_input = command.input.copy()
-        self._applied.append(self._last_input)
-        self._sample += 1
+        self._act()
+        self._counts["late"] += thread_time() - began > self._budget
         return command
 
-    def follow(self, observation: np.ndarray, last_input: np.ndarray) -> tuple[np.ndarray, ...]:
-        """The state now and the offsets of `Estimator.state`, from a measurement that comes after last_input (m,).
+    def _answered(self, sample: Sample) -> Command:
+        if sample.anew:
+            self._start_anew()
+        for _ in range(sample.missed):
+            self.estimator.measure(np.full_like(sample.observation, np.nan), self._applied[0])
+            self._act()
+        self._watch_sensor(sample.observation)
+        self.estimator.measure(sample.observation, self._applied[0])
+        if not self._reference.begun and np.isfinite(sample.observation).all():
+            self._reference.begin_at(sample.observation, sample.time + self._lead)
+        return self._decide(sample.time) if sample.due else Command(self._last_input.copy(), held=True)
 
-        For runs that something else steered: nothing is planned, and `reset` must come before the next call of this
-        controller.
-        """
-        self._applied.append(np.array(last_input, dtype=np.float64))
-        with np.errstate(over="ignore", invalid="ignore"):
-            self.estimator.measure(np.array(observation, dtype=np.float64), self._applied[0])
-            state, self.horizon.input_offset, self.horizon.output_offset = self.estimator.state()
-            return (self._bridged(state) if self._age else state), self.horizon.input_offset, self.horizon.output_offset
+    def _act(self) -> None:
+        """The last input is given until the next sample."""
+        self.actuator.apply(self._last_input)
+        self._applied.append(self.actuator.acting)
 
     def prepare(self) -> None:
         """Linearize and condense around the plan for the next step; to be called when the input has been sent."""
         self._prepared = None
-        disturbed = self.horizon.input_offset is not None or self.horizon.output_offset is not None
-        if disturbed or self._plan is None or not self._planned_now or self._sample % self._samples_per_step:
+        disturbed = self._lead or self.horizon.input_offset is not None or self.horizon.output_offset is not None
+        if disturbed or self._plan is None or not self._planned_now or not self._sampling.due_next:
             return  # an estimated disturbance moves with the next measurement, and the linearization with it
         time, guess = self._plan.time + self.period, self._plan.shifted()
         reference = self.problem.reference_ahead(time)
-        guess = self.problem.admissible(guess, self._last_input)
+        guess = self.problem.admissible(guess, self._held)
         with np.errstate(over="ignore", invalid="ignore"):
             self._prepared = time, self.horizon.condense(self._plan.states[1], guess, reference)
 
@@ -182,11 +260,18 @@ class ModelPredictiveController(DataSheet):
             return False
         return bool((np.abs(self._last_input - self._input_then) > MOVED * self.problem.input_scale).any())
 
+    @property
+    def _held(self) -> np.ndarray:
+        """What the last command transmits, from which the next one counts."""
+        return self.actuator.transmitted
+
     def _decide(self, time: float) -> Command:
+        time = time + self._lead  # of the first input that can still be chosen, when it acts
         state, self.horizon.input_offset, self.horizon.output_offset = self.estimator.state()
         plan = None
-        if self._age:
-            state = self._bridged(state)
+        decided, self.horizon.lagged_from = self.actuator.decided()
+        if self._age or self._lead:
+            state = self._bridged(state, [*list(self._applied)[1:], *decided])
         if self._frozen:
             status = Status.FROZEN_SENSOR
         elif isfinite(time) and sqrt(state @ state) <= self._largest_norm:
@@ -198,23 +283,30 @@ class ModelPredictiveController(DataSheet):
         if not status.success:
             return self._fall_back(time, plan, status)
         self._plan, self._planned_now, self._prepared = plan, True, None
-        return Command(plan.inputs[0].copy(), plan)
+        return Command(self._crossing(plan.inputs[0]), plan)
 
-    def _bridged(self, state: np.ndarray) -> np.ndarray:
-        """The state now, of one that is as old as the measurements are."""
+    def _crossing(self, wanted: np.ndarray) -> np.ndarray:
+        """The command (m,) that transmits this, within the bounds."""
+        if not self.actuator.actuator.rubs:
+            return wanted.copy()
+        return np.clip(self.actuator.actuator.crossing(self._held, wanted), *self._bounds)
+
+    def _bridged(self, state: np.ndarray, acting) -> np.ndarray:
+        """The state when the next input acts, of one that is as old as the measurements are."""
         offset = self.horizon.input_offset
-        for applied in list(self._applied)[1:]:
+        for applied in acting:
             state = self._fine.step(state, applied if offset is None else applied + offset)
         return state
 
     def _solve(self, time: float, state: np.ndarray) -> Plan:
         steps = self._steps_since_plan(time)
         if steps is None:
-            guess = np.tile(self._last_input, (self.problem.horizon, 1))
+            guess = np.tile(self._held, (self.problem.horizon, 1))
         else:
             guess = self._plan.shifted(steps)
         reference = self.problem.reference_ahead(time)
-        continued = self._planned_now and steps == 1 and continues(reference, self._plan.reference, REFERENCE_CHANGE)
+        in_time = steps == 1 and abs(time - self._plan.time - self.period) < 0.1 * self.period
+        continued = self._planned_now and in_time and continues(reference, self._plan.reference, REFERENCE_CHANGE)
         iterations = self.settings.iterations
         if not continued:
             iterations = max(iterations, self.settings.first_iterations)
@@ -223,17 +315,19 @@ class ModelPredictiveController(DataSheet):
         prepared = None
         if continued and self._prepared is not None and abs(self._prepared[0] - time) < 0.1 * self.period:
             prepared = self._prepared[1]
-        return solve_scp(self.problem, self.horizon, state, guess, self.solver, time=time,
-                         reference=reference, last_input=self._last_input, max_iterations=iterations,
-                         tolerance=self.settings.tolerance, prepared=prepared)
+        plan = solve_scp(self.problem, self.horizon, state, guess, self.solver, time=time,
+                         reference=reference, last_input=self._held, max_iterations=iterations,
+                         tolerance=self.settings.tolerance, prepared=prepared, deadline=self._deadline)
+        stopped = plan.status is Status.ITERATION_LIMIT and (plan.qp_status.success or not plan.iterations)
+        self._counts["cut short"] += stopped and plan.iterations < iterations
+        return plan
 
     def _steps_since_plan(self, time: float) -> int | None:
-        """Control steps since the last plan, or None where it says nothing about now."""
+        """Control steps since the last plan, the nearest number, or None where it says nothing about now."""
         if self._plan is None:
             return None
         steps = (time - self._plan.time) / self.period
-        inside = abs(steps - round(steps)) < 0.1 and 0 < round(steps) < self.problem.horizon
-        return round(steps) if inside else None
+        return round(steps) if 0.5 < steps < self.problem.horizon - 0.5 else None
 
     def _fall_back(self, time: float, plan: Plan | None, status: Status) -> Command:
         self.fallbacks[status] += 1
@@ -241,8 +335,8 @@ class ModelPredictiveController(DataSheet):
         self.solver.reset()
         steps = self._steps_since_plan(time) if isfinite(time) else None
         intended = self.safe_input if steps is None else self._plan.inputs[steps]
-        admissible = self.problem.admissible(intended[None], self._last_input)[0]
-        return Command(admissible, plan, status)
+        admissible = self.problem.admissible(intended[None], self._held)[0]
+        return Command(self._crossing(admissible), plan, status)
 
 
 def _seen(model, output_names):
@@ -257,12 +351,26 @@ def _seen(model, output_names):
 
 
 class _Reference:
-    """The task's reference in the columns that it tracks, zero in the others, which weigh nothing."""
+    """The task's reference in the columns that it tracks, zero in the others, which weigh nothing.
 
-    def __init__(self, task, columns: tuple[int, ...], output_dim: int):
-        self.task, self.columns, self.output_dim = task, list(columns), output_dim
+    approach: s, within which the distance to where the robot was at first goes to zero, twice continuously
+    differentiable.
+    """
+
+    def __init__(self, task, columns: tuple[int, ...], output_dim: int, approach: float):
+        self.task, self.columns, self.output_dim, self.approach = task, list(columns), output_dim, approach
+        self.begin_at(None, 0.0)
+
+    def begin_at(self, observation: np.ndarray | None, time: float) -> None:
+        """The robot is at observation (p,) m at this time, s; None: not known yet."""
+        self.begun, self.start, self.distance = observation is not None, time, np.zeros(len(self.columns))
+        if self.begun and self.approach:
+            self.distance = observation[self.columns] - self.task.reference(np.array([time]))[0]
 
     def __call__(self, time: np.ndarray) -> np.ndarray:
         reference = np.zeros((len(time), self.output_dim))
         reference[:, self.columns] = self.task.reference(time)
+        if self.begun and self.approach and time[0] < self.start + self.approach:
+            s = np.clip((time - self.start) / self.approach, 0.0, 1.0)[:, None]
+            reference[:, self.columns] += (1.0 - s**3 * (s * (6.0 * s - 15.0) + 10.0)) * self.distance
         return reference

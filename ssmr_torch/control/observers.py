@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 
 from ssmr_torch.control.base import whole_steps
 from ssmr_torch.control.estimation import ChartEstimator
+from ssmr_torch.control.gate import InnovationGate
 
 # A state whose norm exceeds that of the training range by this factor is not believed: the filter starts anew.
 RANGE_FACTOR = 3.0
@@ -27,8 +30,9 @@ class KalmanObserver:
 
     model: NumPy tables at the timestep of the measurements. input_range (m,). A value that is missing, not finite, is
     left out of the update (extended), or the whole measurement is (stationary); `missing` counts measurements that were
-    not whole. A state that is not finite, or far outside of the training range, would poison all that follow: the
-    filter then starts anew from the chart of the last samples, without a disturbance, and counts it in `restarts`.
+    not whole. An outlier, by the covariance of its innovation, is left out as well and counted in `gated`, see
+    `InnovationGate`. A state that is not finite, or far outside of the training range, would poison all that follow:
+    the filter then starts anew from the chart of the last samples, without a disturbance, and counts it in `restarts`.
     Raises ValueError for another disturbance or noise that is not positive, ImportError without SciPy.
     """
 
@@ -59,8 +63,9 @@ class KalmanObserver:
         self._process = np.diag(np.concatenate([process_noise * scale, noise])**2)
         self._measurement = measurement_noise**2 * np.eye(p)
         self._start = self._process + np.diag(np.concatenate([(0.1 * scale)**2, (100 * noise)**2]))
+        self._gate = InnovationGate()
         if not extended:
-            self._gain = self._stationary_gain(A, B, C)
+            self._gain, self._whitening = self._stationary(A, B, C)
         self.reset()
 
     def _channels(self, A, B, C) -> tuple[np.ndarray, np.ndarray]:
@@ -82,16 +87,29 @@ class KalmanObserver:
         G[:n, :n], G[:n, n:] = A, B @ self._E
         return G
 
-    def _stationary_gain(self, A, B, C) -> np.ndarray:
+    def _stationary(self, A, B, C) -> tuple[np.ndarray, np.ndarray]:
+        """The gain (n + q, p), and L⁻¹ (p, p) of the innovation's covariance S = L Lᵀ."""
         from scipy.linalg import solve_discrete_are  # not on a robot that runs without an observer
 
         G, H = self._transition(A, B), np.hstack([C, self._F])
         P = solve_discrete_are(G.T, H.T, self._process, self._measurement)
-        return np.linalg.solve(H @ P @ H.T + self._measurement, H @ P).T
+        S = H @ P @ H.T + self._measurement
+        return np.linalg.solve(S, H @ P).T, np.linalg.inv(np.linalg.cholesky(0.5 * (S + S.T)))
 
     def reset(self) -> None:
-        self.missing, self.restarts, self._begun = 0, 0, False
+        self.missing, self.restarts, self.gated = 0, 0, 0
+        self.forget()
+
+    def forget(self) -> None:
+        """All measurements, but not what was counted."""
+        self._begun = False
         self._chart.reset()
+        self._gate.reset()
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Measurements that were gated, and fresh starts from the chart."""
+        return Counter({"gated": self.gated, "observer restarted": self.restarts})
 
     def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
         """Predict and update as in `Estimator`; where the estimate is not believed, start anew from the chart."""
@@ -137,15 +155,25 @@ class KalmanObserver:
         z, d = self._x[:n], self._x[n:]
         error = observation - self.model.decode(z) - self._F @ d
         if not self.extended:
-            self._x = self._x + self._gain @ error
+            if self._passes(self._whitening @ error, len(error)):
+                self._x = self._x + self._gain @ error
             return
         C, _ = self.model.linearize_output(z)
         H = np.hstack([C, self._F])[whole]
         S = H @ self._P @ H.T + self._measurement[np.ix_(whole, whole)]
+        if not self._passes(error[whole], len(S), S):
+            return
         K = _solved(S, H @ self._P).T
         self._x = self._x + K @ error[whole]
         shrink = np.eye(len(self._x)) - K @ H
         self._P = shrink @ self._P @ shrink.T + K @ self._measurement[np.ix_(whole, whole)] @ K.T
+
+    def _passes(self, error: np.ndarray, size: int, S: np.ndarray | None = None) -> bool:
+        """Whether the innovation (size,) is no outlier; S: its covariance, of one that is white the unit matrix."""
+        distance = error @ (error if S is None else _solved(S, error)) / size
+        passes = self._gate.passes(float(distance))
+        self.gated += not passes and bool(np.isfinite(self._x).all())
+        return passes
 
     def state(self) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
         z, d = self._x[:self.model.state_dim].copy(), self._x[self.model.state_dim:]

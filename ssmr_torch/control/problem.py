@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from ssmr_torch.control.base import changed_bounds
 from ssmr_torch.control.condensing import clipped, tracking_cost
 from ssmr_torch.control.constraints import ConstraintsAhead, OutputConstraints
 from ssmr_torch.control.settings import PredictiveControlSettings
@@ -20,19 +22,23 @@ SLACK_SCALE = 1e-3
 class TrackingProblem:
     """Paper, Eq. 12 with the sums that the choice of u can influence:
 
-        min  Σ_{k=1..N} ‖y_k − ŷ_k‖²_Q + ‖y_N − ŷ_N‖²_{Q_f} + Σ_{k=0..N−1} ‖u_k‖²_R
-        s.t. lower ≤ u_k ≤ upper,   |u_k − u_{k−1}| ≤ rate · period   with u_{−1} the input applied last.
+        min  Σ_{k=1..N} ρ(‖y_k − ŷ_k‖²_Q) + ‖y_N − ŷ_N‖²_{Q_f} + Σ_{k=0..N−1} ‖v_k − v̄‖²_R + ‖v_k − v_{k−1}‖²_S
+        s.t. lower ≤ u_k ≤ upper,   |u_k − u_{k−1}| ≤ rate · period   with u_{−1} the input applied last,
 
-    and, where there are `constraints`, their penalty of the path to y_N added to the cost.
+    where v = u / range is the input in units of its range, so that no weight has the unit of an input. Where there are
+    `constraints`, their penalty of the path to y_N is added to the cost. ρ is the identity, or Huber's function where
+    `huber` is given: from an error of that size on the cost grows linearly, and what is out of reach is not forced.
 
     reference: time (K,) s → ŷ (K, p) m.   input_bounds: (2, m), lowest and highest input.
     output_weight, terminal_weight: diagonals of Q and Q_f, (p,) or one number, 1/m².
-    input_weight: diagonal of R, (m,) or one number, 1/N².   input_rate: (m,) or one number, N/s, or None.
+    input_weight, move_weight: diagonals of R and S, (m,) or one number, without unit.   huber: m, or None.
+    input_rate: (m,) or one number, input unit per s, or None.   input_range: (m,), by default that of the bounds.
+    input_target: (m,), range · v̄, which inputs tend to where tracking leaves them free; None: zero.
     constraints: `OutputConstraints` or None.
     Raises ValueError for sizes that disagree, crossed bounds, and weights without a unique minimum.
 
-    The solver sees v = u / input_scale, in units of the input range, and J / cost_scale. R is then at least
-    the identity, so that a dual residual ε leaves an error of at most ε in v.
+    The solver sees v and J / cost_scale. The weights of v are then at least the identity, so that a dual residual ε
+    leaves an error of at most ε in v.
     """
 
     reference: Callable[[np.ndarray], np.ndarray]
@@ -44,6 +50,10 @@ class TrackingProblem:
     horizon: int = PredictiveControlSettings.horizon
     period: float = PredictiveControlSettings.period
     constraints: OutputConstraints | None = None
+    move_weight: np.ndarray | float = 0.0
+    huber: float | None = None
+    input_range: np.ndarray | None = None
+    input_target: np.ndarray | None = None
 
     def __post_init__(self):
         bounds = np.array(self.input_bounds, dtype=np.float64)
@@ -62,6 +72,11 @@ class TrackingProblem:
         self._set("output_weight", _diagonal("output_weight", self.output_weight, outputs))
         self._set("terminal_weight", _diagonal("terminal_weight", self.terminal_weight, outputs))
         self._set("input_weight", _diagonal("input_weight", self.input_weight, inputs))
+        self._set("move_weight", _diagonal("move_weight", self.move_weight, inputs))
+        if self.input_range is not None:
+            self._set("input_range", _diagonal("input_range", self.input_range, inputs))
+        if self.input_target is not None:
+            self._set("input_target", np.array(self.input_target, dtype=np.float64))
         if not (self.input_weight > 0).all():
             raise ValueError(f"input_weight is {self.input_weight.tolist()}; expected positive numbers, "
                              "without them the optimal input is not unique")
@@ -93,12 +108,18 @@ class TrackingProblem:
     @cached_property
     def input_scale(self) -> np.ndarray:
         """(m,) range of each input: v = u / input_scale."""
-        return self.input_bounds[1] - self.input_bounds[0]
+        return self.input_bounds[1] - self.input_bounds[0] if self.input_range is None else self.input_range
 
     @cached_property
     def cost_scale(self) -> float:
         """Smallest weight of v: the solver sees J / cost_scale."""
-        return float((self.input_weight * self.input_scale**2).min())
+        slowest = 4.0 * np.sin(0.5 * np.pi / (2 * self.horizon + 1))**2  # of all changes over the horizon
+        return float((self.input_weight + slowest * self.move_weight).min())
+
+    @cached_property
+    def moves(self) -> bool:
+        """Whether changes of the input cost something."""
+        return bool(self.move_weight.any())
 
     @cached_property
     def input_step(self) -> np.ndarray | None:
@@ -121,6 +142,18 @@ class TrackingProblem:
         for bound in box:
             bound.setflags(write=False)
         return box
+
+    def bounded(self, bounds) -> TrackingProblem:
+        """The same problem in the same units under other bounds (2, m); equal ones are those of a dead actuator.
+
+        Raises ValueError, with both numbers, for bounds that are not finite or crossed, and for another shape.
+        """
+        bounds = changed_bounds(bounds, self.input_bounds.shape)
+        _ = self.input_scale, self.cost_scale  # the units of the first bounds stay
+        changed = copy.copy(self)
+        changed._set("input_bounds", bounds)
+        changed.__dict__.pop("_scaled_box", None)
+        return changed
 
     def scaled_bounds(self, last_input: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of v, each (N m,); those of v_0 also limit the change from `last_input` (m,)."""
@@ -185,13 +218,31 @@ class TrackingProblem:
         return reference
 
     def cost(self, outputs: np.ndarray, inputs: np.ndarray, reference: np.ndarray,
-             ahead: ConstraintsAhead | None = None) -> float:
+             ahead: ConstraintsAhead | None = None, last_input: np.ndarray | None = None) -> float:
         """J of y_1 … y_N (N, p) and u_0 … u_{N−1} (N, m); not a finite number when the outputs are not.
 
-        ahead: the constraints from the present time and place on; where there are constraints, it is needed.
+        ahead: the constraints from the present time and place on; where there are constraints, it is needed. last_input
+        (m,): u_{−1}; None: the first input may be any.
         """
-        cost = tracking_cost(outputs, inputs, reference, self.stage_weight, self.input_weight)
+        weight = self.stage_weight if self.huber is None else self.huber_weight(outputs, reference, cost=True)
+        from_target = inputs if self.input_target is None else inputs - self.input_target
+        cost = tracking_cost(outputs, from_target / self.input_scale, reference, weight, self.input_weight)
+        if self.moves:
+            first = inputs[:1] if last_input is None else last_input[None]
+            changes = np.diff(inputs, axis=0, prepend=first) / self.input_scale
+            cost += float((np.square(changes) @ self.move_weight).sum())
         return cost if self.constraints is None else cost + ahead.penalty(outputs)
+
+    def huber_weight(self, outputs: np.ndarray, reference: np.ndarray, *, cost: bool = False) -> np.ndarray:
+        """(N, p): `stage_weight` times ρ'(‖e‖²) at the tracked errors e of outputs (N, p), m, with which the gradient
+        and the Gauss-Newton matrix are those of Huber's function; cost: times ρ(‖e‖²) / ‖e‖², with which the sum is.
+        """
+        tracked = self.stage_weight > 0
+        size = np.sqrt(np.square(np.where(tracked, outputs - reference, 0.0)).sum(1))
+        if not (size > self.huber).any():
+            return self.stage_weight
+        share = self.huber / np.maximum(size, self.huber)
+        return (share * (2.0 - share) if cost else share)[:, None] * self.stage_weight
 
 
 def _diagonal(name: str, value, size: int) -> np.ndarray:

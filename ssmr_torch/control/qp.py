@@ -16,6 +16,8 @@ from ssmr_torch.status import Status
 
 # A claim of success is refused when a recomputed residual exceeds the tolerance by this factor.
 RESIDUAL_FACTOR = 10.0
+# Entries of the cost for which the rounding of a residual alone exceeds what is accepted of it at a tolerance of 1e-6.
+LARGEST = RESIDUAL_FACTOR * 1e-6 / np.finfo(np.float64).eps
 # Relative size of what rounding leaves of a residual, however tight the tolerance.
 ROUNDING = 1e-12
 
@@ -65,10 +67,15 @@ class QuadraticProgram:
         return 0 if self.C is None else len(self.C)
 
     def defect(self) -> Status | None:
-        """Why no solver should be asked: NaN, crossed bounds, H not semidefinite; None where all is well."""
-        found = kkt.soundness(*self._parts())
+        """Why no solver should be asked; None where all is well.
+
+        NaN, crossed bounds, H not semidefinite, or a cost so large that no solution can be told from another to a
+        tolerance of 1e-6, as of a state far outside of the model's range: solvers spend all their iterations on it.
+        """
+        found = kkt.soundness(*self._parts(), LARGEST)
         if found != kkt.SOUND:
-            return Status.NOT_FINITE if found == kkt.NOT_FINITE else Status.PRIMAL_INFEASIBLE
+            return {kkt.NOT_FINITE: Status.NOT_FINITE, kkt.CROSSED: Status.PRIMAL_INFEASIBLE}.get(
+                found, Status.OUT_OF_RANGE)
         if self.convex:
             return None
         try:
@@ -166,6 +173,9 @@ class Workspace(ABC):
         self.dim, self.rows = int(dim), int(rows)
         self.tolerance, self.max_iterations = float(tolerance), int(max_iterations)
 
+    # CPU time of this thread, as `time.thread_time` tells it, s, after which no further attempt shall begin
+    deadline = np.inf
+
     @abstractmethod
     def reset(self) -> None:
         """Forget the workspace: the same problems then give the same solutions again, to the last bit."""
@@ -177,6 +187,10 @@ class Workspace(ABC):
                              f"this workspace holds {self.dim} and {self.rows}")
         defect = problem.defect()
         return self._solve(problem) if defect is None else QPSolution.none(problem, defect)
+
+    def explained(self, problem: QuadraticProgram) -> Status:
+        """Why nothing was found; within a deadline there is no time to ask, and it is the iteration limit."""
+        return problem.failure() if self.deadline == np.inf else Status.ITERATION_LIMIT
 
     @abstractmethod
     def _solve(self, problem: QuadraticProgram) -> QPSolution:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from time import perf_counter
+from time import perf_counter, thread_time
 
 import numpy as np
 
@@ -57,7 +57,8 @@ class Plan:
 
 def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, guess: np.ndarray, solver, *,
               time: float = 0.0, reference: np.ndarray | None = None, last_input: np.ndarray | None = None,
-              max_iterations: int = 20, tolerance: float = 1e-8, prepared: Condensed | None = None) -> Plan:
+              max_iterations: int = 20, tolerance: float = 1e-8, prepared: Condensed | None = None,
+              deadline: float = np.inf) -> Plan:
     """Gauss-Newton sequence of quadratic programs from the inputs `guess` (N, m) and the measured state (n,).
 
     time: of the first input, s. reference: (N, p) m, default the problem's own from there on. last_input:
@@ -66,25 +67,25 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     is. More iterations search along each step until the cost of the rollout falls enough [Armijo 1966]; they
     have converged when the decrease that the program promises is below `tolerance` times the cost.
     prepared: `horizon.condense` of this guess at a predicted state; the first program then needs no linearization.
+    deadline: CPU time, s, as of `time.thread_time`; no program begins that would not end before it (ITERATION_LIMIT).
     Pure but for the solver's workspace. Never raises for lack of convergence: the status says how it ended.
     """
     start = perf_counter()
     reference = problem.reference_ahead(time) if reference is None else reference
     inputs = problem.admissible(np.asarray(guess, dtype=np.float64), last_input)
-    ahead = horizon.constraints_ahead(time, state, inputs[0] if last_input is None else last_input)
-    bounds = problem.scaled_bounds(last_input)
+    bounds, horizon.last_input = problem.scaled_bounds(last_input), last_input
     solution, status, iterations, kept = None, Status.ITERATION_LIMIT, 0, True
-    if prepared is None:
-        point = horizon.condense(state, inputs, reference)
-    else:
-        point = horizon.moved(prepared, state, inputs, reference)
+    ahead = horizon.constraints_ahead(time, state, inputs[0] if last_input is None else last_input)
+    point = horizon.condense(state, inputs, reference) if prepared is None \
+        else horizon.moved(prepared, state, inputs, reference)
     states, outputs = point.states, point.outputs
     cost = np.nan
     if max_iterations > 1:  # a real-time iteration compares with nothing, and its program shows what is not finite
-        cost = problem.cost(outputs, inputs, reference, ahead)
+        cost = problem.cost(outputs, inputs, reference, ahead, last_input)
         if not np.isfinite(cost):
             status = Status.NOT_FINITE
-    while iterations < max_iterations and status is Status.ITERATION_LIMIT:
+    budget = _Budget(deadline if max_iterations > 1 else np.inf)
+    while iterations < max_iterations and status is Status.ITERATION_LIMIT and budget.allows_another():
         if iterations:
             point = horizon.condense(state, inputs, reference)
         solution, kept = _solved(problem, _quadratic_program(problem, point, inputs, bounds, ahead), solver)
@@ -98,7 +99,7 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
         if max_iterations > 1 and -slope <= tolerance * cost:
             status = Status.SOLVED
             break
-        found = _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, ahead,
+        found = _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, ahead, last_input,
                              0 if max_iterations == 1 else HALVINGS)
         if found is None:
             status = Status.NOT_FINITE if max_iterations == 1 else Status.NOT_DESCENDING
@@ -111,6 +112,20 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     if not kept and solution.status.success:
         status = Status.SOFTENED
     return _plan(time, states, inputs, outputs, reference, cost, status, solution, iterations, ahead, start)
+
+
+class _Budget:
+    """Asked before every program, whether it would end before the deadline, if it took as long as the longest yet."""
+
+    def __init__(self, deadline: float):
+        self.deadline, self._longest, self._before = deadline, 0.0, np.inf
+
+    def allows_another(self) -> bool:
+        if self.deadline == np.inf:
+            return True
+        now = thread_time()
+        self._longest, self._before = max(self._longest, now - self._before), now
+        return now + self._longest <= self.deadline
 
 
 def _quadratic_program(problem: TrackingProblem, point: Condensed, inputs: np.ndarray,
@@ -172,7 +187,7 @@ def _promised(problem, point: Condensed, inputs, proposed, outputs, ahead, x) ->
     return slope + there - ahead.penalty(outputs)
 
 
-def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, ahead, halvings):
+def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, ahead, last_input, halvings):
     """(inputs, states, outputs, cost) of the first step 1, ½, ¼, … that lowers the cost enough, or None.
 
     Without halvings the full step is taken wherever its rollout is finite.
@@ -181,7 +196,7 @@ def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slo
         length = 0.5**halving
         candidate = proposed if halving == 0 else inputs + length * (proposed - inputs)
         states, outputs = horizon.rollout(state, candidate)
-        candidate_cost = problem.cost(outputs, candidate, reference, ahead)
+        candidate_cost = problem.cost(outputs, candidate, reference, ahead, last_input)
         enough = np.inf if halvings == 0 else cost + ARMIJO * length * slope
         if np.isfinite(candidate_cost) and candidate_cost <= enough:
             return candidate, states, outputs, candidate_cost

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.settings import Settings, non_negative, positive, positive_or_none, whole
 
 
@@ -17,8 +18,14 @@ class PredictiveControlSettings(Settings):
     horizon: N, control steps.   period: s between two plans, a multiple of the timestep; the input is held in between.
     output_weight: on every tracked output, 1/m²; the default is 100 per mm², the authors'.   terminal_weight: added to
     it at the horizon's end, 1/m².
-    input_weight: 1/N², one number or (m,); the default is 1e-4 per mN², ten times the authors': measured velocities are
-    noisy.   input_rate: N/s, one number or (m,); None: no limit.
+    input_weight, move_weight: on every input and on its change from one control step to the next, in units of the
+    input's range, one number or (m,) without unit.   input_target: (m,), input that costs nothing, to which inputs tend
+    where tracking leaves them free; None: zero.   huber: m, tracking error from which its cost grows linearly, so
+    that what is out of reach is not forced; None: never.
+    input_rate: input unit per s, one number or (m,); None: no limit.
+    actuator: the `Actuator` between commands and robot; the model is then one of acting inputs, and a control step one
+    sample; None: commands act.
+    approach: s within which the reference is reached from where the robot is at first; 0: at once.
     safe_input: (m,) N; None: the admissible input nearest to zero.
     output_bounds: (2, p) m, soft, lowest and highest of every output; infinite where there is no bound.
     margins: (N,) m, by which obstacles and output bounds are tightened at each stage.   margin_quantile: of the errors
@@ -32,6 +39,8 @@ class PredictiveControlSettings(Settings):
     observer: (model at timestep, input range) → `Estimator`, such as a partial `KalmanObserver`; None: the chart.
     measurement_delay: s, a whole number of timesteps, by which measurements are old; the model bridges it.
     frozen_after: so many measurements, equal to the last bit while the input changed, are a frozen sensor; 0: never.
+    step_budget: share of the period that a step may compute, CPU time; no further program or attempt begins that would
+    not end within it, and the best plan so far, or the fallback, counts. None: no limit.
     qp: proxqp, daqp, qpsolvers:NAME, or package.module:Class, see `solver_named`.
 
     Raises ValueError for a number that makes no sense, or a count that is not whole; TypeError for a name that is none
@@ -44,7 +53,10 @@ class PredictiveControlSettings(Settings):
     horizon: int = 5
     period: float = 0.02
     output_weight: float = 1e8
-    input_weight: float | Sequence[float] = 100.0
+    input_weight: float | Sequence[float] = 225.0
+    move_weight: float | Sequence[float] = 0.0
+    huber: float | None = None
+    input_target: Sequence[float] | None = None
     terminal_weight: float = 0.0
     input_rate: float | Sequence[float] | None = None
     safe_input: Sequence[float] | None = None
@@ -58,8 +70,11 @@ class PredictiveControlSettings(Settings):
     tolerance: float = 1e-6
     range_factor: float = 3.0
     observer: Callable | None = None
+    actuator: Actuator | None = None
+    approach: float = 0.0
     measurement_delay: float = 0.0
     frozen_after: int = 5
+    step_budget: float | None = 0.5
     qp: str = "proxqp"
 
     def __post_init__(self):
@@ -68,18 +83,27 @@ class PredictiveControlSettings(Settings):
         self._set("frozen_after", whole("frozen_after", self.frozen_after, least=0))
         for name, unit in (("period", "s"), ("output_weight", "1/m²"), ("tolerance", ""), ("range_factor", "")):
             self._set(name, positive(name, getattr(self, name), unit))
-        for name, unit in (("terminal_weight", "1/m²"), ("measurement_delay", "s")):
+        for name, unit in (("terminal_weight", "1/m²"), ("measurement_delay", "s"), ("approach", "s")):
             self._set(name, non_negative(name, getattr(self, name), unit))
         if not (isinstance(self.margin_quantile, float) and 0 < self.margin_quantile < 1):
             raise ValueError(f"margin_quantile is {self.margin_quantile!r}; expected a share between 0 and 1")
         if not isinstance(self.hard_constraints, bool):
             raise ValueError(f"hard_constraints is {self.hard_constraints!r}; expected true or false")
-        self._set("input_weight", positive_or_none("input_weight", self.input_weight, "1/N²"))
-        self._set("input_rate", positive_or_none("input_rate", self.input_rate, "N/s"))
+        self._set("step_budget", positive_or_none("step_budget", self.step_budget))
+        self._set("input_weight", positive_or_none("input_weight", self.input_weight))
+        self._set("input_rate", positive_or_none("input_rate", self.input_rate, "input unit/s"))
+        self._set("huber", positive_or_none("huber", self.huber, "m"))
+        if isinstance(self.actuator, Mapping):
+            self._set("actuator", Actuator(**self.actuator))
+        if np.ndim(self.move_weight) == 0:
+            self._set("move_weight", non_negative("move_weight", self.move_weight))
+        else:
+            self._set("move_weight", tuple(non_negative(f"move_weight[{i}]", each)
+                                           for i, each in enumerate(self.move_weight)))
         if self.input_weight is None:
             raise ValueError("input_weight is None; expected positive numbers, without them the optimal input is not "
                              "unique")
-        for name in ("safe_input", "output_bounds", "margins", "violation_weight"):
+        for name in ("safe_input", "input_target", "output_bounds", "margins", "violation_weight"):
             self._set(name, _numbers(name, getattr(self, name)))
         if self.violation_weight is not None and (len(self.violation_weight) != 2 or min(self.violation_weight) < 0):
             raise ValueError(f"violation_weight is {self.violation_weight}; expected two numbers, 1/m and 1/m², none "

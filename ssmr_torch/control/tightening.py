@@ -83,21 +83,28 @@ def _errors_of_chart(model, run, columns, step, horizon, stride) -> np.ndarray:
 
 
 def _errors_of_controller(controller, run, columns, step, horizon, stride) -> np.ndarray:
-    """The same, from what the controller makes of the run so far; the first second, in which it settles, left out."""
+    """The same, from what the controller makes of the run so far; the first second, in which it settles, left out.
+
+    What it knows at sample k is the state `late` samples before. With the inputs that act, it predicts from there to
+    the stages of the plan that it would make, the first of which is a step after the first input that can still be
+    chosen acts, `lead` samples on; what happens then is measured `late` samples later.
+    """
     if abs(run.timestep - controller.timestep) > 1e-9:
         raise ValueError(f"a run has a timestep of {run.timestep} s; the controller expects its own, "
                          f"{controller.timestep} s")
-    inputs, observation = np.asarray(run.input), np.asarray(run.observation)
-    late = whole_steps("measurement_delay", controller.settings.measurement_delay, run.timestep) \
-        if controller.settings.measurement_delay else 0
+    actuator, observation = controller.actuator.actuator, np.asarray(run.observation)
+    inputs = np.asarray(run.input) if actuator.trivial else actuator.acting(run.input)
+    delay, lead = controller.settings.measurement_delay, actuator.delay
+    late = whole_steps("measurement_delay", delay, run.timestep) if delay else 0
     model, starts, predicted = controller.horizon.model.at_timestep(run.timestep), [], []
-    with np.errstate(over="ignore", invalid="ignore"):
-        for k, (state, input_offset, output_offset) in enumerate(_followed(controller, observation, inputs)):
-            if k * run.timestep < SETTLING or k % stride or k + horizon * step + late >= len(observation):
+    span = late + lead + horizon * step
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        for k, (state, input_offset, output_offset) in enumerate(_followed(controller, observation, inputs, late)):
+            if k * run.timestep < SETTLING or k % stride or k + span >= len(observation):
                 continue
-            acting = inputs[k:k + horizon * step] + (0.0 if input_offset is None else input_offset)
-            outputs = model.decode(model.states(state, acting)[step::step])
-            starts.append(k + late)  # what is predicted for now is measured that much later
+            acting = inputs[k - late:k - late + span] + (0.0 if input_offset is None else input_offset)
+            outputs = model.decode(model.states(state, acting)[late + lead + step::step])
+            starts.append(k + late + lead)
             predicted.append((outputs + (0.0 if output_offset is None else output_offset))[:, columns])
     if not starts:
         return np.empty((0, horizon))
@@ -108,11 +115,12 @@ def _errors_of_controller(controller, run, columns, step, horizon, stride) -> np
 SETTLING = 1.0
 
 
-def _followed(controller, observation: np.ndarray, inputs: np.ndarray) -> Iterator[tuple]:
-    """State and offsets after each sample of a run, as the controller would have them at that time."""
+def _followed(controller, observation: np.ndarray, inputs: np.ndarray, late: int) -> Iterator[tuple]:
+    """State and offsets after each sample of a run, as the controller's estimator gives them at that time."""
     controller.reset()
     for k, measured in enumerate(observation):
-        yield controller.follow(measured, inputs[max(k - 1, 0)])
+        controller.estimator.measure(measured, inputs[max(k - 1 - late, 0)])
+        yield controller.estimator.state()
     controller.reset()
 
 

@@ -123,17 +123,25 @@ def read_card(path: str | Path) -> Card:
     Raises FileNotFoundError, or ValueError for a file that is not YAML (naming the line), a key that is unknown
     (naming the nearest one) or missing, and a value of the wrong kind.
     """
+    return described(path, Card, "docs/data.md", columns=Columns, units=Units)
+
+
+def described(path: str | Path, noun, page: str, **parts):
+    """The dataclass `noun` whose fields are the keys of a YAML file; `parts`: fields that are dataclasses themselves.
+
+    page: where the keys are explained. Raises as `read_card`.
+    """
     path = Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"no card at {path}; write one as docs/data.md shows")
+        raise FileNotFoundError(f"no card at {path}; write one as {page} shows")
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        return _build(Card, content, "the card", columns=Columns, units=Units)
+        return _build(noun, content, "the card", **parts)
     except yaml.MarkedYAMLError as error:
         line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
         raise ValueError(f"{path.name}: {line}{error.problem or error.context}; expected YAML") from error
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path.name} is not text; expected a card, in YAML, as docs/data.md shows; ssmr_torch.load "
+        raise ValueError(f"{path.name} is not text; expected a card, in YAML, as {page} shows; ssmr_torch.load "
                          "opens files of this package") from error
     except (ValueError, yaml.YAMLError) as error:
         raise ValueError(f"{path.name}: {' '.join(str(error).split())}") from error

@@ -3,9 +3,11 @@
 An excitation is called as excitation(rng, samples, timestep, bounds) → (samples, m), with bounds (2, m) the
 lowest and highest input; row k is held from k·timestep to (k + 1)·timestep. Equal generators give equal signals.
 
-A robot rests under the input 0, clipped into the bounds: r. A share s of the range is what lies between
-r + s (lowest − r) and r + s (highest − r), and levels 0 to s are fractions of the range, counted from the lower end of
-that share. So cables that only pull rest at level 0, and signed inputs (−1 to 1) move to both sides of their rest.
+A robot rests under the input 0, clipped into the bounds: r. One that has a neutral input of its own, such as a
+pretension, is excited about that: its signals are those of the bounds less that input, plus that input. A share s of
+the range is what lies between r + s (lowest − r) and r + s (highest − r), and levels 0 to s are fractions of the
+range, counted from the lower end of that share. So cables that only pull rest at level 0, and signed inputs (−1 to 1)
+move to both sides of their rest.
 
 SciPy's modules are imported where they are used: they take a second, and every process that records would wait for it.
 """
@@ -35,6 +37,22 @@ class Release(Excitation, Protocol):
 def resting_input(bounds: np.ndarray) -> np.ndarray:
     """(m,), the input under which a robot rests: 0, clipped into the bounds (2, m)."""
     return np.clip(0.0, bounds[0], bounds[1])
+
+
+def neutral_input(plant) -> np.ndarray:
+    """(m,), the input under which this robot is left alone: its `neutral_input` where it has one, else `resting_input`.
+
+    Raises ValueError for one of the robot's own that is not m finite numbers within its bounds.
+    """
+    lower, upper = np.asarray(plant.input_bounds, dtype=np.float64)
+    own = getattr(plant, "neutral_input", None)
+    if own is None:
+        return resting_input(np.stack([lower, upper]))
+    own = np.asarray(own, dtype=np.float64)
+    if own.shape != lower.shape or not ((lower <= own) & (own <= upper)).all():
+        raise ValueError(f"the neutral input of {plant.name!r} is {own.tolist()}; expected {len(lower)} numbers "
+                         f"between {lower.tolist()} and {upper.tolist()}: correct it or the bounds")
+    return own
 
 
 @dataclass(frozen=True)

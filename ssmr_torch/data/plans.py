@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, is_dataclass
 import numpy as np
 
 from ssmr_torch.data import excitation as signals
-from ssmr_torch.data.excitation import Excitation, Release, resting_input
+from ssmr_torch.data.excitation import Excitation, Release, neutral_input
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.trajectory import KINDS, SPLITS
 
@@ -92,13 +92,16 @@ class RecordingPlan:
             raise ValueError(f"{self.name}: {self.duration} s hold {samples - first} samples of {plant.timestep} s; "
                              "expected at least 2")
         with naming(self):
+            rest, bounds = neutral_input(plant), plant.input_bounds
+            centre = rest if getattr(plant, "neutral_input", None) is not None else np.zeros_like(rest)
             inputs = self.excitation(np.random.default_rng(self.seeds(seed)[0]), samples, plant.timestep,
-                                     plant.input_bounds)
-        away = np.abs(inputs[first:] - resting_input(plant.input_bounds)).max() if self.kind == "decay" else 0.0
+                                     bounds - centre)
+            inputs = np.clip(inputs + centre, *bounds) if centre.any() else inputs
+        away = np.abs(inputs[first:] - rest).max() if self.kind == "decay" else 0.0
         if away > 0:
             raise ValueError(f"{self.name}: the inputs are up to {away:g} {plant.input_unit} away from rest after "
-                             f"the decay starts at {self.start} s; expected the resting input from there on "
-                             "(0, clipped into the bounds)")
+                             f"the decay starts at {self.start} s; expected the resting input from there on, "
+                             f"{rest.tolist()}")
         return inputs
 
 
@@ -134,10 +137,12 @@ def refuse_repeated_names(plans: Sequence[RecordingPlan]) -> None:
 
 def described_plant(plant: Plant) -> dict:
     """What an observation depends on beside the inputs."""
-    return {"class": _path(plant), "timestep": plant.timestep, "input_bounds": np.asarray(plant.input_bounds).tolist(),
-            "output_names": list(plant.output_names), "input_names": list(plant.input_names),
-            "rest": np.asarray(plant.rest).tolist(), "parameters": getattr(plant, "parameters", {}),
-            "origin": getattr(plant, "origin", {})}
+    own = {} if getattr(plant, "neutral_input", None) is None else {"neutral_input": neutral_input(plant).tolist()}
+    return own | {
+        "class": _path(plant), "timestep": plant.timestep, "input_bounds": np.asarray(plant.input_bounds).tolist(),
+        "output_names": list(plant.output_names), "input_names": list(plant.input_names),
+        "rest": np.asarray(plant.rest).tolist(), "parameters": getattr(plant, "parameters", {}),
+        "origin": getattr(plant, "origin", {})}
 
 
 def described_plan(plan: RecordingPlan, signal: np.ndarray) -> dict:

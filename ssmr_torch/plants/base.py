@@ -17,6 +17,8 @@ class Plant(Protocol):
     An observation is (p,), the displacement of the observed points from rest, m; an input is (m,), `input_unit`.
     name: of the robot, as reports call it. input_bounds: (2, m), lowest and highest input. rest: (p,) absolute
     position of the origin of the observation.
+    A plant may have a `neutral_input` (m,), under which it is left alone; else that is the admissible input nearest to
+    zero.
     """
 
     name: str

@@ -25,6 +25,7 @@ class RemotePlant(PlantSheet):
     wait: s to wait for it.   deadline, timeout, patience: as of `wire.controller_end.ControllerEnd`.
     The displacement is the last observation that came, as nobody here knows better; a measurement that does not come in
     time is NaN. A robot does not tell its state, which is (0,).   counts: what was wrong with the messages.
+    stamp: s by the robot's own clock, when the last observation was taken; NaN where it is missing.
     Raises OSError for an address that is taken, TimeoutError when no robot came, ValueError for a HELLO that cannot be
     read; `reset` and `step` raise ConnectionError when the robot is gone.
     """
@@ -34,6 +35,7 @@ class RemotePlant(PlantSheet):
         self.bind, self.wait, self.deadline = bind, float(wait), deadline
         self.timeout, self.patience = float(timeout), float(patience)
         self.counts: Counter[str] = Counter()
+        self.stamp = np.nan
         self._link = ControllerLink(bind)
         self._run, self._peer, self._sender = randbits(32), b"", b""
         self._card = self._meet()
@@ -137,7 +139,7 @@ class RemotePlant(PlantSheet):
                                       "see what became of it and start both again")
             self._due += self.timestep
         elif message.sequence == self._stream.next:
-            self._pending = None
+            self._pending, self.stamp = None, message.time
             _, observation = self._stream.take(message)
             if np.isfinite(observation).all():
                 self._last = observation
@@ -145,6 +147,7 @@ class RemotePlant(PlantSheet):
         else:
             self._pending = message
         self._stream.skip()
+        self.stamp = np.nan
         return np.full(len(self.output_names), np.nan)
 
     def _await(self, until: float) -> Message | None:

@@ -52,12 +52,12 @@ class Assembly:
     @cached_property
     def uncentred(self) -> tuple[Monomials, np.ndarray]:
         """Monomials over (z, s, u), and the matrix that takes a table over the centred ones to one over these."""
-        return _uncentred(self.centred, self.n, self._constants(self.samples.input_dim + self.memory),
+        return uncentred(self.centred, self.n, self._constants(self.samples.input_dim + self.memory),
                           [1.0] * self.memory + self.samples.input_scale.tolist())
 
     @cached_property
     def uncentred_outputs(self) -> tuple[Monomials, np.ndarray]:
-        return _uncentred(self.curved, self.n, self._constants(self.memory), [1.0] * self.memory)
+        return uncentred(self.curved, self.n, self._constants(self.memory), [1.0] * self.memory)
 
     def _constants(self, count: int) -> list[float]:
         return np.tile(self.centre, count // len(self.centre)).tolist()
@@ -141,7 +141,7 @@ def _values(monomials: Monomials, joint: np.ndarray) -> np.ndarray:
     return monomials.chosen_rows(monomials.rows(np.ascontiguousarray(joint.T))).T
 
 
-def _uncentred(centred: Monomials, n: int, constants: list[float], scales: list[float]) -> tuple[Monomials, np.ndarray]:
+def uncentred(centred: Monomials, n: int, constants: list[float], scales: list[float]) -> tuple[Monomials, np.ndarray]:
     """Of monomials in x̃_j = x_j / scale_j − constant_j for j ≥ n, those in x and the matrix that multiplies out."""
     columns: dict[tuple, int] = {}
     entries: list[tuple[int, int, float]] = []

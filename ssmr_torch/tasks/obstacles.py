@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, replace
 
 import numpy as np
+
+from ssmr_torch.tasks.curves import Drift, refuse_nameless
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +31,13 @@ class Circle:
                 raise ValueError(f"the center of an obstacle is {self.center}; expected two lengths in m")
             object.__setattr__(self, "center", center)
         self.centers(np.zeros(1))
+
+    def __getstate__(self) -> dict:
+        refuse_nameless(self.center, "the center of a moving obstacle")
+        return self.__dict__
+
+    def __deepcopy__(self, memo) -> Circle:
+        return replace(self, center=deepcopy(self.center, memo))
 
     def centers(self, time: np.ndarray) -> np.ndarray:
         """(K,) s → (K, 2) m. Raises ValueError when the function returns another shape."""
@@ -72,7 +82,7 @@ class HalfPlane:
 def drifting(center, velocity) -> Callable[[np.ndarray], np.ndarray]:
     """Center (2,) m that moves with a constant velocity (2,) m/s, for `Circle`."""
     center, velocity = np.array(center, dtype=np.float64), np.array(velocity, dtype=np.float64)
-    return lambda time: center + time[:, None] * velocity
+    return Drift(center, velocity)
 
 
 def random_circles(seed: int, count: int = 20, reach: float = 0.030, diameters: tuple[float, float] = (0.008, 0.012),

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ssmr_torch import data_sheet as sheet
 from ssmr_torch.data_sheet import DataSheet
+from ssmr_torch.tasks.curves import CirclePath, EightPath, Polyline, RampedPhase, RosePath, refuse_nameless
 from ssmr_torch.tasks.obstacles import Circle, HalfPlane
-
-# The frequencies of a figure eight: (−sin θ, sin 2θ) = sin(EIGHT · θ).
-EIGHT = np.array([-1.0, 2.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +21,7 @@ class Task(DataSheet):
     path: times (K,) s in [0, duration] → (K, q) m relative to rest.   duration: s; before 0 and after it the
     reference stands still.   tracked: the q outputs by index, or by name where the robot's names are known.
     obstacles: `Circle`s and `HalfPlane`s that the tracked outputs must keep out of.
+    A task can be copied; it can be pickled unless its path is a lambda or a function made inside another one.
     Raises ValueError for a duration that is not positive, tracked outputs that repeat, or obstacles over more outputs
     than are tracked.
 
@@ -53,6 +53,13 @@ class Task(DataSheet):
             if needed > len(self.tracked):
                 raise ValueError(f"an obstacle of task {self.name!r} lies in {needed} tracked outputs; the task tracks "
                                  f"{len(self.tracked)}")
+
+    def __getstate__(self) -> dict:
+        refuse_nameless(self.path, f"the path of task {self.name!r}")
+        return self.__dict__
+
+    def __deepcopy__(self, memo) -> Task:
+        return replace(self, path=deepcopy(self.path, memo), obstacles=deepcopy(self.obstacles, memo))
 
     def reference(self, time: np.ndarray) -> np.ndarray:
         """(K,) s → (K, q) m. Raises ValueError when the path returns another shape."""
@@ -97,11 +104,7 @@ def figure_eight(amplitude: float = 0.015, angular_speed: float = 4.0, laps: flo
     as in `Task`.
     """
     phase, duration = ramped_phase(2 * np.pi * laps, angular_speed, ramp)
-
-    def path(time):
-        return amplitude * np.sin(np.multiply.outer(phase(time), EIGHT))
-
-    return Task(name, duration, tuple(tracked), path, obstacles)
+    return Task(name, duration, tuple(tracked), EightPath(amplitude, phase), obstacles)
 
 
 def circle(amplitude: float = 0.010, angular_speed: float = 4.0, laps: float = 6.0, ramp: float = 1.0,
@@ -109,12 +112,7 @@ def circle(amplitude: float = 0.010, angular_speed: float = 4.0, laps: float = 6
            obstacles: Sequence | None = None) -> Task:
     """(a sin θ, a − a cos θ), a circle through the rest position, from and to rest; arguments as above."""
     phase, duration = ramped_phase(2 * np.pi * laps, angular_speed, ramp)
-
-    def path(time):
-        theta = phase(time)
-        return amplitude * np.stack([np.sin(theta), 1.0 - np.cos(theta)], axis=-1)
-
-    return Task(name, duration, tuple(tracked), path, obstacles)
+    return Task(name, duration, tuple(tracked), CirclePath(amplitude, phase), obstacles)
 
 
 def rose(amplitude: float = 0.015, petals: int = 3, angular_speed: float = 2.0, laps: float = 2.0, ramp: float = 5.0,
@@ -128,12 +126,7 @@ def rose(amplitude: float = 0.015, petals: int = 3, angular_speed: float = 2.0, 
     if petals % 2 != 1 or petals < 1:
         raise ValueError(f"petals is {petals}; expected an odd number")
     phase, duration = ramped_phase(2 * np.pi * laps, angular_speed, ramp)
-
-    def path(time):
-        theta = phase(time)
-        return amplitude * (np.sin(petals * theta) * np.stack([np.cos(theta), np.sin(theta)])).T
-
-    return Task(name, duration, tuple(tracked), path, obstacles)
+    return Task(name, duration, tuple(tracked), RosePath(amplitude, petals, phase), obstacles)
 
 
 def path(times, points, outputs: Sequence[int | str], *, name: str = "path", obstacles=()) -> Task:
@@ -158,14 +151,11 @@ def path(times, points, outputs: Sequence[int | str], *, name: str = "path", obs
     if len(times) < 2 or times[0] < 0 or (np.diff(times) <= 0).any():
         raise ValueError(f"the {len(times)} times of a path run from {times[:1].tolist()} to {times[-1:].tolist()} s; "
                          "expected two or more that increase, the first zero or later")
-
-    def between(time):
-        return np.stack([np.interp(time, times, column) for column in points.T], axis=-1)
-
-    return Task(name, float(times[-1]), tuple(outputs), between, obstacles)
+    return Task(name, float(times[-1]), tuple(outputs), Polyline(times, np.asfortranarray(points)),
+                obstacles)
 
 
-def ramped_phase(total: float, speed: float, ramp: float) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
+def ramped_phase(total: float, speed: float, ramp: float) -> tuple[RampedPhase, float]:
     """A phase θ(t) from 0 to `total`, three times continuously differentiable, and its duration in s.
 
     dθ/dt rises to `speed` over `ramp` s along 6 s⁵ − 15 s⁴ + 10 s³, s = t / ramp, stays, and falls alike.
@@ -178,18 +168,4 @@ def ramped_phase(total: float, speed: float, ramp: float) -> tuple[Callable[[np.
         raise ValueError(f"speeding up and slowing down in {ramp} s each covers {speed * ramp:.4g}, "
                          f"more than the {total:.4g} in all; shorten the ramp or add laps")
     duration = total / speed + ramp
-
-    def turned(time: float) -> float:
-        since = min(time, duration - time)
-        if since < ramp:
-            s = since / ramp
-            since = ramp * s**4 * (s * s - 3.0 * s + 2.5)
-        else:
-            since -= 0.5 * ramp
-        return speed * since if 2.0 * time <= duration else total - speed * since
-
-    def phase(time):  # number by number: of the few that a controller asks for, faster than a dozen array operations
-        time = np.asarray(time, dtype=np.float64)
-        return np.array([turned(t) for t in time.ravel().tolist()]).reshape(time.shape)
-
-    return phase, duration
+    return RampedPhase(total, speed, ramp, duration), duration

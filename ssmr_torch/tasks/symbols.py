@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ssmr_torch.extras import require
+from ssmr_torch.tasks.curves import Polyline
 from ssmr_torch.tasks.references import Task, ramped_phase
 
 ARC_STEPS = 1440  # straight pieces of pacman's arc, whose length is then right to 1e-6
@@ -71,14 +72,8 @@ def constant_speed(corners: np.ndarray, duration: float, ramp: float, tracked: S
     steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     corners = corners[np.append(True, steps > 0)]
     travelled = np.append(0.0, np.cumsum(steps[steps > 0]))
-    x, y = np.ascontiguousarray(corners.T)
     phase, _ = ramped_phase(travelled[-1], travelled[-1] / (duration - ramp), ramp)
-
-    def path(time):
-        distance = phase(time)
-        return np.stack([np.interp(distance, travelled, x), np.interp(distance, travelled, y)], axis=-1)
-
-    return Task(name, duration, tuple(tracked), path, obstacles)
+    return Task(name, duration, tuple(tracked), Polyline(travelled, np.asfortranarray(corners), phase), obstacles)
 
 
 def contours(text: str, font: str | None = None, steps: int = 64) -> list[np.ndarray]:

@@ -53,6 +53,7 @@ class Code(IntEnum):
     NOT_DESCENDING = 10
     OUT_OF_RANGE = 11
     FROZEN_SENSOR = 12
+    WRONG_TIME = 13
     BUSY = 254
     OTHER = 255
 

@@ -206,7 +206,7 @@ def test_a_filter_that_was_led_astray_starts_anew_from_the_chart(bench, extended
     for k in range(120):
         u = np.array([0.2, 0.0, 0.1, 0.0])
         with np.errstate(all="ignore"):
-            observer.measure(np.full(6, spoilt) if 50 <= k < 53 else z, u)
+            observer.measure(np.full(6, spoilt) if 50 <= k < 56 else z, u)
         found, _, _ = observer.state()
         z = model.step(z, u)
     assert observer.restarts >= 1 and np.abs(found - model.encode(z[None], u[None][:0])).max() < 2e-3

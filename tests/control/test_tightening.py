@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ssmr_torch.closed_loop import simulate
+from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.control.observers import KalmanObserver
 from ssmr_torch.control.tightening import prediction_margins, tightened
@@ -15,12 +16,16 @@ from ssmr_torch.tasks.references import figure_eight
 from ssmr_torch.trajectory import Trajectory
 
 
+def driven(model, bench, inputs):
+    """(observation, input) of the plant under these inputs."""
+    plant = bench.ModelPlant(model)
+    return np.stack([plant.reset(), *(plant.step(u) for u in inputs[:-1])]), inputs
+
+
 def run_of(model, bench, samples=600, seed=0):
     """The plant under inputs that change every tenth sample."""
-    rng, plant = np.random.default_rng(seed), bench.ModelPlant(model)
-    inputs = np.repeat(rng.uniform(0, 0.3, (samples // 10, 4)), 10, axis=0)
-    observation = [plant.reset(), *(plant.step(u) for u in inputs[:-1])]
-    return Trajectory(0.01 * np.arange(samples), np.stack(observation), inputs)
+    inputs = np.repeat(np.random.default_rng(seed).uniform(0, 0.3, (samples // 10, 4)), 10, axis=0)
+    return Trajectory(0.01 * np.arange(samples), *driven(model, bench, inputs))
 
 
 def test_a_model_that_is_right_needs_no_margin_and_one_that_is_wrong_more_of_it_further_ahead(bench):
@@ -72,8 +77,18 @@ def test_measurements_that_are_late_are_bridged_before_the_prediction(bench):
     late = Trajectory(run.time, np.vstack([run.observation[:1], run.observation[:-1]]), run.input)
     told = prediction_margins(controller_of(model, bench, measurement_delay=0.01), [late], (0, 1))
     assert told[0] < 1e-3 * prediction_margins(controller_of(model, bench), [late], (0, 1))[0]
-    state, *_ = controller_of(model, bench, measurement_delay=0.01).follow(run.observation[0], run.input[0])
-    np.testing.assert_allclose(state, model.step(run.observation[0], run.input[0]))
+
+
+def test_an_actuator_is_in_the_prediction_and_its_delay_before_the_first_stage(bench):
+    """The robot feels the commands two samples late and lagged: told so, the prediction of six samples is exact."""
+    model = replace(bench.oscillators(), substeps=4)
+    actuator = Actuator(0.01, (0.6,) * 4, delay=2, lag=0.015)
+    commands = run_of(model, bench).input
+    acting = Trajectory(0.01 * np.arange(600), *driven(model, bench, actuator.acting(commands)))
+    run = Trajectory(acting.time, acting.observation, commands)
+    settings = {"period": 0.01, "horizon": 4}
+    told = prediction_margins(controller_of(model, bench, actuator=actuator, **settings), [run], (0, 1))
+    assert told.max() < 1e-12 < 1e-4 < prediction_margins(controller_of(model, bench, **settings), [run], (0, 1))[0]
 
 
 def test_a_tightened_controller_says_its_margins_keeps_them_and_starts_anew(bench):

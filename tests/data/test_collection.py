@@ -184,3 +184,23 @@ def test_what_is_dithered_is_told_by_its_whole_excitation():
              for inner in (SmoothRandom(share=0.5), RandomSteps(share=0.5))]
     assert [plan["excitation"]["class"] for plan in plans] == ["Dithered", "Dithered"]
     assert [plan["excitation"]["excitation"]["class"] for plan in plans] == ["SmoothRandom", "RandomSteps"]
+
+
+def test_a_robot_with_a_neutral_input_of_its_own_is_excited_about_it_and_released_to_it():
+    class Pretensioned(SlowManifold):
+        neutral_input = np.array([0.3, 0.3, 0.0, 0.1])
+
+    settings = {"decays": 2, "validation_decays": 0, "test_decays": 0, "decay_duration": 0.2, "progress": False}
+    data = collect(Pretensioned(), **settings, controlled=[ControlledRun("smooth", SmoothRandom(share=0.4), 8.0)])
+    for decay in data.select(kind="decay"):
+        np.testing.assert_array_equal(decay.input, np.tile(Pretensioned.neutral_input, (20, 1)))
+    low, high = data.select(kind="controlled")[0].extremes()[1]
+    np.testing.assert_allclose(low, 0.6 * Pretensioned.neutral_input, atol=0.02)
+    np.testing.assert_allclose(high, Pretensioned.neutral_input + 0.4 * (1.5 - Pretensioned.neutral_input), atol=0.15)
+    assert data.provenance["plant"]["neutral_input"] == [0.3, 0.3, 0.0, 0.1]
+
+    class Wrong(SlowManifold):
+        neutral_input = np.array([0.0, 0.0, 0.0, 2.0])
+
+    with pytest.raises(ValueError, match="neutral input of .* is .* expected 4 numbers between"):
+        collect(Wrong(), **settings)

@@ -20,7 +20,8 @@ def solver_named(name: str, dim: int, rows: int, **options):
     """The solver of this name for programs of dim variables and `rows` general rows.
 
     name: a file of this folder, qpsolvers:NAME, or package.module:Class, whose instances have `solve(QuadraticProgram)`
-    → `QPSolution` and `reset()`, perhaps `advance` as in `ProxQP`; it is made of (dim, rows, **options).
+    → `QPSolution` and `reset()`, perhaps `advance` as in `ProxQP` and a `deadline` as in `Workspace`; it is
+    made of (dim, rows, **options).
     options: of its constructor. Raises ValueError for another name, ImportError where it is not installed.
     """
     module, separator, chosen = name.partition(":")

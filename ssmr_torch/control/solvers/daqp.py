@@ -35,17 +35,28 @@ class DAQP(Workspace):
     def reset(self) -> None:
         self._workspace = None
 
+    def __getstate__(self) -> dict:
+        """DAQP's workspace cannot be copied: both the copy and the original start the next problem from nothing."""
+        self.reset()
+        return {name: value for name, value in self.__dict__.items() if name != "_library"}
+
+    def __setstate__(self, state: dict) -> None:
+        self.__dict__.update(state, _library=importlib.import_module("daqp"))
+
     def _solve(self, problem: QuadraticProgram) -> QPSolution:
-        x, _, flag, info = self._loaded(problem).solve()
+        flag = self._load(problem)
+        if flag >= 0:
+            x, _, flag, info = self._workspace.solve()
         status = EXIT_FLAGS.get(flag, Status.ITERATION_LIMIT)
         if flag < 0:
             self.reset()
-            return QPSolution.none(problem, problem.failure() if status is Status.ITERATION_LIMIT else status)
+            return QPSolution.none(problem, self.explained(problem) if status is Status.ITERATION_LIMIT else status)
         multipliers = np.asarray(info["lam"])
         return QPSolution.judged(problem, np.asarray(x), multipliers[:self.dim], multipliers[self.dim:], status,
                                  info["iterations"], self.tolerance)
 
-    def _loaded(self, problem: QuadraticProgram):
+    def _load(self, problem: QuadraticProgram) -> int:
+        """Hand over the problem. Negative where DAQP refuses it: there is then nothing to solve."""
         self._upper[:self.dim], self._lower[:self.dim] = problem.upper, problem.lower
         C = self._none
         if self.rows:
@@ -56,7 +67,7 @@ class DAQP(Workspace):
         if self._workspace is None:
             self._workspace = self._library.Model()
             self._workspace.settings = {"primal_tol": self.tolerance, "iter_limit": self.max_iterations}
-            self._workspace.setup(*arguments)
+            flag, _ = self._workspace.setup(*arguments)
         else:
-            self._workspace.update(*arguments)
-        return self._workspace
+            flag = self._workspace.update(*arguments)
+        return 0 if flag is None else flag

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from time import thread_time
 from types import SimpleNamespace
 
 import numpy as np
@@ -37,8 +38,11 @@ proxqp = _without_wide_vectors()
 INFINITY = 1e20
 # Penalty that each program starts with: fewer iterations than its own 0.1, and the hardest programs hardly get harder.
 PENALTY = 3e-2
-# How much stricter the second attempt is.
-RETRY_FACTOR = 1e-2
+# How much stricter the second attempt is, and how many times as long it may take.
+RETRY_FACTOR, RETRY_TIME = 1e-2, 2.0
+# Outer iterations, and inner ones in each of them: the hardest of 5000 programs among obstacles and with a limited rate
+# took 15 and fewer than 50. What takes more is not solved by 200 times 200 either.
+OUTER, INNER = 25, 50
 
 PROXQP_STATUS = {
     proxqp.PROXQP_SOLVED: Status.SOLVED,
@@ -69,7 +73,7 @@ class ProxQP(Workspace):
     def reset(self, tolerance: float | None = None) -> None:
         """As in `Workspace`; tolerance: of this start alone."""
         tolerance = self.tolerance if tolerance is None else tolerance
-        self._workspace, self._fresh = proxqp.dense.QP(self.dim, 0, self.rows, True), True
+        self._workspace, self._fresh, self._beginning = proxqp.dense.QP(self.dim, 0, self.rows, True), True, None
         settings = self._workspace.settings
         settings.eps_abs, settings.eps_rel = tolerance, 0.0
         # Its own certificates of infeasibility, at their usual tolerance, also condemn feasible problems.
@@ -78,7 +82,22 @@ class ProxQP(Workspace):
         settings.check_duality_gap = True
         settings.eps_duality_gap_abs, settings.eps_duality_gap_rel = tolerance, ROUNDING
         settings.default_mu_in = PENALTY
-        settings.max_iter = settings.max_iter_in = self.max_iterations
+        settings.max_iter, settings.max_iter_in = min(self.max_iterations, OUTER), min(self.max_iterations, INNER)
+
+    def __getstate__(self) -> dict:
+        """Without the workspace, whose own pickle forgets its box: it is made again from its first problem."""
+        results = None if self._fresh else (self._workspace.results.x.copy(), self._workspace.results.z.copy())
+        kept = {name: value for name, value in self.__dict__.items() if name != "_workspace"}
+        return kept | {"_results": results, "_known": (None, None, None)}
+
+    def __setstate__(self, state: dict) -> None:
+        results = state.pop("_results")
+        self.__dict__.update(state)
+        beginning = self._beginning
+        self.reset()
+        if results is not None:
+            self._begin(beginning)
+            self._workspace.results.x, self._workspace.results.z = results
 
     def advance(self, variables: np.ndarray, rows: np.ndarray) -> None:
         """Warm starts: variable i begins where variables[i] (d,) of the last program ended, and the rows (r,) alike."""
@@ -89,14 +108,17 @@ class ProxQP(Workspace):
         results.x, results.z = results.x[variables], np.concatenate([z[rows], z[self.rows:][variables]])
 
     def _solve(self, problem: QuadraticProgram) -> QPSolution:
+        begun = thread_time()
         solution = self._attempt(problem)
         if not solution.status.success:
             # What other problems left behind can mislead: a fresh, stricter start has the last word.
-            self.reset(RETRY_FACTOR * self.tolerance)
-            solution = self._attempt(problem)
+            now = thread_time()
+            if now + RETRY_TIME * (now - begun) <= self.deadline:
+                self.reset(RETRY_FACTOR * self.tolerance)
+                solution = self._attempt(problem)
             self.reset()
         if solution.status in (Status.ITERATION_LIMIT, Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE):
-            solution = replace(solution, status=problem.failure())
+            solution = replace(solution, status=self.explained(problem))
         return solution
 
     def _attempt(self, problem: QuadraticProgram) -> QPSolution:
@@ -121,14 +143,17 @@ class ProxQP(Workspace):
         arguments = (problem.H, problem.g + problem.H @ shift, None, None, problem.C, row_lower, row_upper, lower,
                      upper)
         if self._fresh:
-            self._workspace.init(*arguments)
-            self._fresh = False
+            self._begin(arguments)
             return shift
         if self.warm:
             # Its "warm start" also keeps the penalty of the last program, with which some then take 150 iterations.
             self._workspace.settings.initial_guess = proxqp.COLD_START_WITH_PREVIOUS_RESULT
         self._workspace.update(*arguments, update_preconditioner=False)
         return shift
+
+    def _begin(self, arguments: tuple) -> None:
+        self._workspace.init(*arguments)
+        self._beginning, self._fresh = arguments, False
 
     def _box(self, problem: QuadraticProgram) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Bounds around the middle of the box, and that middle; remembered for bounds that cannot change."""

@@ -1,0 +1,280 @@
+"""A robot on the bench, step by step, from its card to fast circles; each step is shown, confirmed and recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ssmr_torch.commissioning.card import BenchCard, fitted, read_bench_card
+from ssmr_torch.commissioning.channels import admissible_share, channel_faults, channels_said, expectations
+from ssmr_torch.commissioning.circles import circle_about, reach, tracked_outputs
+from ssmr_torch.commissioning.confirmation import Confirm, confirmation, ended_in_order
+from ssmr_torch.commissioning.directory import REPORT, BenchDirectory
+from ssmr_torch.commissioning.gathering import gather, recorded_share
+from ssmr_torch.commissioning.guard import GuardedPlant, SafetyStop
+from ssmr_torch.commissioning.noise import measure_noise, noise_faults, noise_said
+from ssmr_torch.commissioning.report import FIGURES, TITLES, written
+from ssmr_torch.commissioning.steps import measure_steps
+from ssmr_torch.data.recorded import COMPLETE
+from ssmr_torch.plants.base import Plant
+from ssmr_torch.settings import Settings, positive, whole
+from ssmr_torch.tasks.references import Task
+
+STEPS = tuple(TITLES)
+FEWEST = 20  # standard deviations of noise, that a circle's radius must have
+
+
+@dataclass(frozen=True)
+class CommissioningSettings(Settings):
+    """Settings of `commission`.
+
+    model: kind of `ssmr_torch.fit`, such as auto.   rest_duration: s of noise at rest.
+    slow_lap, fast_lap: s of a lap of the two circles.   laps: of each.   share_of_reach: radius of the circles.
+    seed: of the excitation, and of whatever the robot draws.   figures: whether to draw; needs the extra plots.
+    """
+
+    model: str = "auto"
+    rest_duration: float = 5.0
+    slow_lap: float = 10.0
+    fast_lap: float = 2.5
+    laps: int = 3
+    share_of_reach: float = 0.4
+    seed: int = 0
+    figures: bool = True
+
+    def __post_init__(self):
+        for name in ("rest_duration", "slow_lap", "fast_lap"):
+            self._set(name, positive(name, getattr(self, name), "s"))
+        self._set("laps", whole("laps", self.laps, least=1))
+        if not 0 < positive("share_of_reach", self.share_of_reach) <= 1:
+            raise ValueError(f"share_of_reach is {self.share_of_reach}; expected more than 0 and at most 1")
+
+
+SETTINGS = CommissioningSettings()
+
+
+def commission(plant: Plant, card: BenchCard | str | Path, directory: str | Path, *, excitation: Callable | None = None,
+               confirm: str | Confirm = "ask", design: Callable | None = None, fit: Callable | None = None,
+               settings: CommissioningSettings = SETTINGS, **changes) -> list[str]:
+    """Commission a robot; the same call in the same directory goes on after the last confirmed step.
+
+    plant: any `Plant`, such as `plants.RemotePlant`.   card: a `BenchCard`, or the file of one.
+    excitation: (plant, directory=, workers=) → dataset; None: excitation=five_minutes of the configuration.
+    confirm: "ask", "yes", or (step, text, faults) → bool; False ends the call, and the step is not recorded as done.
+    design: (kind, data, task, bounds) → (controller, report); None: `ssmr_torch.controller_design`.   fit: (data, kind) → model
+    with `save(folder)`; None: `ssmr_torch.fit`.   changes: of the settings, by name.
+
+    Returns the names of the confirmed steps; all is done when these are STEPS. Raises ValueError for a card that does
+    not fit the robot or the directory, SafetyStop when a limit is exceeded in any step but the collection, which
+    offers smaller inputs. However it ends, the input goes back to neutral.
+    """
+    card = fitted(card if isinstance(card, BenchCard) else read_bench_card(card), plant)
+    work = Commissioning(plant, card, BenchDirectory(directory), confirmation(confirm), excitation or _five_minutes(),
+                         design or _design, fit or _fit, settings.changed(**changes))
+    with ended_in_order():
+        return work.go_on()
+
+
+class Commissioning:
+    """One call of `commission`; every method named after a step returns what is to be shown and its faults."""
+
+    def __init__(self, plant: Plant, card: BenchCard, directory: BenchDirectory, confirm: Confirm, excitation: Callable,
+                 design: Callable, fit: Callable, settings: CommissioningSettings):
+        self.plant, self.card, self.directory, self.confirm = plant, card, directory, confirm
+        self.excitation, self.design, self.fit, self.settings = excitation, design, fit, settings
+        self._designed: dict[str, tuple] = {}
+
+    def go_on(self) -> list[str]:
+        """Take the steps that are not confirmed yet, until one is declined; the names of those that are."""
+        self.directory.keep_card(self.card)
+        done = [entry["step"] for entry in self.directory.confirmed()]
+        rest = [step for step in STEPS if step not in done]
+        if done and rest and not self.confirm(done[-1], f"{len(done)} steps are confirmed, the last is {done[-1]!r}.\n"
+                                              f"{self._next(rest[0])}", ()):
+            return done
+        for step in rest:
+            found = getattr(self, f"_{step.replace(' ', '_')}")()
+            if found is None:
+                break
+            said, faults = found
+            marks = "".join(f"\n\nLook here: {fault}." for fault in faults)
+            following = STEPS[len(done) + 1:]
+            after = f"\n\n{self._next(following[0])}" if following else ""
+            if not self.confirm(step, f"{len(done) + 1}. {TITLES[step]}\n\n{said}{marks}{after}", tuple(faults)):
+                self._declined(step)
+                break
+            self.directory.confirm(step, said, faults)
+            done.append(step)
+            self._report()
+        return done
+
+    def _declined(self, step: str) -> None:
+        if step == "collection" and self.directory.has(COMPLETE):
+            self.directory.set_aside(COMPLETE)
+
+    def _report(self) -> None:
+        present = [name for names in FIGURES.values() for name in names if self.directory.has(name)]
+        self.directory.write(REPORT, written(self.plant.name, self.directory.confirmed(), present))
+
+    def _next(self, step: str) -> str:
+        limits = f"It stops beyond {1e3 * self.card.displacement_limit:.3g} mm or {self.card.rate_limit:.3g} m/s."
+        moves = {"noise": f"the neutral input {self.card.neutral} is held for {self.settings.rest_duration:g} s.",
+                 "steps": "each input makes small steps, one after the other.",
+                 "collection": "the robot moves widely for some minutes.",
+                 "slow circle": "the controller draws a circle, slowly.",
+                 "fast circle": "the controller draws the circle fast."}
+        what = f"{moves[step]} {limits}" if step in moves else "the robot does not move."
+        return f"Next, {TITLES[step].lower()}: {what}"
+
+    def _card(self) -> tuple[str, list]:
+        return f"```yaml\n{self.card.text()}```", []
+
+    def _noise(self) -> tuple[str, list]:
+        with self._moving("noise") as guard:
+            noise = measure_noise(guard, self.settings.rest_duration, self.settings.seed)
+            self.directory.keep_runs("noise", [guard.run("noise")], guard)
+        self.directory.write_json("noise.json", noise)
+        return noise_said(noise, guard), noise_faults(noise, guard)
+
+    def _steps(self) -> tuple[str, list]:
+        runs = []
+        with self._moving("steps") as guard:
+            answers = measure_steps(guard, self._std(), self.settings.seed,
+                                    lambda answer: runs.append(guard.run(f"steps of {answer.input}")))
+        self.directory.keep_runs("steps", runs, guard)
+        outputs, expected = guard.output_names, expectations(self.card.expected, guard.input_names, guard.output_names)
+        room = np.abs(self.card.range - self.card.rest).max(axis=0)
+        share = admissible_share(answers, room, self.card.displacement_limit)
+        self.directory.write_json("steps.json", {"share": share, "answers": [each.as_dict() for each in answers]})
+        if self.settings.figures:
+            self.directory.draw("steps", answers, outputs)
+        said = channels_said(answers, expected, outputs, guard.input_unit)
+        return f"{said}\n\nThe recordings use {100 * share:.3g} % of the input range at first.", \
+            channel_faults(answers, expected, outputs)
+
+    def _collection(self) -> tuple[str, list] | None:
+        first = self.directory.read_json("steps.json")["share"]
+        with self._moving("collection") as guard:
+            data = gather(guard, self.excitation, self.directory, first,
+                          lambda what: self.confirm("collection", what, ()))
+        if data is None:
+            return None
+        stops, seconds = data.provenance["stops"], sum(run.length for run in data) * data.timestep
+        held = [f"it was stopped at {100 * stop['share']:.3g} %: {stop['reason']}" for stop in stops]
+        low, high = data.extremes()[0]
+        spans = zip(data.output_names, 1e3 * low, 1e3 * high)
+        furthest = ", ".join(f"{name} {a:.3g} … {b:.3g}" for name, a, b in spans)
+        share = f"{100 * data.provenance['share']:.3g} % of the input range"
+        return "\n\n".join([f"{len(data)} runs, {seconds / 60:.2g} min, with {share}; mm: {furthest}.", *held]), []
+
+    def _check(self) -> tuple[str, list]:
+        from ssmr_torch.face import check
+
+        report = check(self.directory.trajectories())
+        self.directory.write("check.txt", f"{report}\n")
+        if self.settings.figures:
+            report.figures(self.directory.path)
+        missing = [each for each in report.findings if each.severity == "missing"]
+        return f"```\n{report}\n```", [f"{each.subject}: {each.said} {each.remedy}".rstrip(". ") for each in missing]
+
+    def _fit(self) -> tuple[str, list]:
+        model = self.fit(self.directory.trajectories(), self.settings.model)
+        model.save(self.directory.path / "artifact")
+        return f"```\n{model}\n```", []
+
+    def _design(self) -> tuple[str, list]:
+        task, about, _ = self._circle("slow circle", self.settings.slow_lap)
+        _, report = self._controller(task)
+        self.directory.write("design.txt", f"{report}\n")
+        return f"{about}\n\n```\n{report}\n```", []
+
+    def _slow_circle(self) -> tuple[str, list]:
+        return self._drawn("slow circle", self.settings.slow_lap)
+
+    def _fast_circle(self) -> tuple[str, list]:
+        return self._drawn("fast circle", self.settings.fast_lap)
+
+    def _drawn(self, step: str, lap: float) -> tuple[str, list]:
+        from ssmr_torch.closed_loop import simulate
+        from ssmr_torch.evaluation.metrics import closed_loop_metrics
+
+        task, about, radius = self._circle(step, lap)
+        controller, _ = self._controller(task)
+        with self._moving(step) as guard:
+            record = simulate(guard, controller, task, seed=self.settings.seed, progress=True)
+        self.directory.keep_record(step, record)
+        if self.settings.figures:
+            self.directory.draw("circles", self.directory.records())
+        found = closed_loop_metrics(record)
+        faults = [f"the error of {1e3 * found['rmse']:.3g} mm is more than half of the radius"] \
+            if found["rmse"] > 0.5 * radius else []
+        decisions, share = int(np.isfinite(record.solve_time).sum()), 100 * found["rmse"] / radius
+        said = (f"RMSE **{1e3 * found['rmse']:.3g} mm**, {share:.3g} % of the radius; at most "
+                f"{1e3 * found['max_error']:.3g} mm; {found['fallbacks']:.0f} fallbacks of {decisions} decisions, "
+                f"{1e3 * found['solve_time_p99']:.2g} ms each (99 %).")
+        return f"{about}\n\n{said}", faults
+
+    def _circle(self, name: str, lap: float) -> tuple[Task, str, float]:
+        """The task, what is to be said of it, and the radius, m."""
+        data, rest = self.directory.trajectories(), np.array(self.directory.read_json("noise.json")["rest_m"])
+        outputs = tuple(self.card.tracked) or tracked_outputs(data, rest)
+        columns = data.columns(outputs)
+        most = reach(data, outputs, rest[columns])
+        radius, noise = self.settings.share_of_reach * most, self._std()[columns].max()
+        if radius < FEWEST * noise:
+            raise ValueError(f"the circle in {list(outputs)} would have a radius of {1e3 * radius:.3g} mm with "
+                             f"{1e3 * noise:.2g} mm of noise; expected {FEWEST} times the noise or more: name two "
+                             "outputs that move to all sides as tracked in the card")
+        about = (f"Radius {1e3 * radius:.3g} mm in {outputs[0]} and {outputs[1]}, "
+                 f"{100 * self.settings.share_of_reach:.3g} % of the reach of {1e3 * most:.3g} mm; {lap:g} s a lap.")
+        return circle_about(rest[columns], radius, lap, self.settings.laps, outputs, name), about, radius
+
+    def _controller(self, task: Task) -> tuple:
+        """Controller and design report of a task, designed once in a call."""
+        if task.name not in self._designed:
+            bounds = self._guard().narrowed(recorded_share(self.directory)).input_bounds
+            data = self.directory.trajectories()
+            self._designed[task.name] = tuple(self.design(self.settings.model, data, task, bounds))
+        return self._designed[task.name]
+
+    def _std(self) -> np.ndarray:
+        return np.array(self.directory.read_json("noise.json")["std_m"])
+
+    def _guard(self) -> GuardedPlant:
+        noisy = self.directory.has("noise.json") and bool((self._std() > 0).all())
+        return GuardedPlant(self.plant, self.card, noisy=noisy)
+
+    @contextmanager
+    def _moving(self, step: str) -> Iterator[GuardedPlant]:
+        """A guarded robot that is led back to neutral however the step ends; a stopped run is kept, marked."""
+        guard = self._guard()
+        try:
+            yield guard
+        except SafetyStop as stop:
+            self.directory.stopped(step, guard.run(step), guard, str(stop))
+            raise
+        finally:
+            guard.relax()
+
+
+def _five_minutes() -> Callable:
+    """excitation=five_minutes of the configuration."""
+    from ssmr_torch import configuration
+
+    return configuration.built(configuration.composed("collect", ["excitation=five_minutes"]).excitation)
+
+
+def _fit(data, kind: str):
+    from ssmr_torch.fitting.by_kind import fit
+
+    return fit(data, kind)
+
+
+def _design(kind: str, data, task: Task, bounds: np.ndarray):
+    from ssmr_torch.controller_design.design import design
+
+    return design(kind, data, task, bounds)

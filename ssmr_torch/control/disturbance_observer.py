@@ -1,0 +1,140 @@
+"""A stationary observer with gains that were found from recordings, and what keeps it from getting lost."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+
+from ssmr_torch.control.base import whole_steps
+from ssmr_torch.control.estimation import ChartEstimator
+from ssmr_torch.control.gate import InnovationGate
+from ssmr_torch.lazy import found
+
+BEYOND = 1.2      # times the recorded range: a state there which mispredicts as well is lost
+STRANGE = 10      # samples that it must do so
+SETTLING = 10.0   # s that the model is given to come to rest
+
+
+def stepper(model) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """(z (n,), u (m,)) → z⁺ and y⁺ = w(z⁺) of a model, by its compiled kernel where it has one."""
+    compiled = found(model.compiled)(model) if model.compiled else None
+    if compiled is None:
+        def plainly(z, u):
+            following = model.step(z, u)
+            return following, model.decode(following)
+
+        return plainly
+    tables, rollout, _ = compiled
+
+    def fast(z, u):
+        states, outputs = rollout(z, np.ascontiguousarray(u)[None], tables)
+        return states[1], outputs[0]
+
+    return fast
+
+
+class DisturbanceObserver:
+    """Reduced state z and a disturbance d of every output from measurements y, an `Estimator`:
+
+        z⁻ = f(z, v),   e = y − w(z⁻) − d,   z⁺ = z⁻ + K_z e,   d⁺ = d + K_d e,   |d| ≤ limit.
+
+    v: what acts on the robot. The first measurement is taken to be of a robot at rest under the v of then: what the
+    model does not explain of it belongs to d, not to z, so that a payload does not put the state where no data are.
+    An outlier, see `InnovationGate`, is left out. A sample that is missing, not finite, only predicts.
+    A state beyond the recorded range that mispredicts as well, by `lost` in a watched output, starts anew from the
+    chart of the last samples; d stays.
+
+    model: NumPy tables at the timestep of the measurements.   gain: (n + p, p), [K_z; K_d].   covariance: (p, p) m², of
+    the innovation.   limit: (p,) m.   lost: m.   watched: columns of y.   input_range is not needed.
+    `counts` holds what was gated, missing and restarted. Raises ValueError for sizes that do not fit the model.
+    """
+
+    def __init__(self, model, input_range=None, *, gain, covariance, limit, lost: float, watched=None):
+        self.model = model
+        n, p = model.state_dim, model.output_dim
+        self._gain, self._precision = np.array(gain, dtype=np.float64), np.linalg.inv(np.array(covariance, dtype=float))
+        self._limit = np.array(np.broadcast_to(np.asarray(limit, dtype=np.float64), (p,)))
+        if self._gain.shape != (n + p, p) or self._precision.shape != (p, p):
+            raise ValueError(f"the gain has shape {self._gain.shape} and the covariance {self._precision.shape}; a "
+                             f"model of {n} states and {p} outputs needs ({n + p}, {p}) and ({p}, {p})")
+        self._lost, self._watched = float(lost), list(range(p) if watched is None else watched)
+        self._range = np.where(np.isfinite(model.state_scale) & (model.state_scale > 0), model.state_scale, np.inf)
+        self._step = stepper(model)
+        self._chart = ChartEstimator(model, whole_steps("the model's window_timestep", model.window_timestep,
+                                                        model.timestep))
+        self._rests: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+        self._gate = InnovationGate()
+        self.reset()
+
+    def reset(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self.forget()
+
+    def forget(self) -> None:
+        """As `reset`, but counts stay."""
+        self._chart.reset()
+        self._gate.reset()
+        self._begun, self._strange = False, 0
+        self._z, self._d = np.zeros(self.model.state_dim), np.zeros(self.model.output_dim)
+
+    def rest(self, acting: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """State and output where the model comes to rest under v (m,); of rest itself where it leaves its range."""
+        key = np.asarray(acting, dtype=np.float64).tobytes()
+        if key not in self._rests:
+            window = np.zeros((self.model.delays + 1, self.model.output_dim))
+            start = self.model.encode(window, np.tile(acting, (self.model.delays, 1)))
+            z, y = start, self.model.decode(start)
+            with np.errstate(over="ignore", invalid="ignore"):
+                for _ in range(round(SETTLING / self.model.timestep)):
+                    z, y = self._step(z, acting)
+            if not self._inside(z):
+                z, y = start, self.model.decode(start)
+            self._rests[key] = z, y
+        return self._rests[key]
+
+    def _inside(self, z: np.ndarray) -> bool:
+        return bool(np.isfinite(z).all() and (np.abs(z) <= BEYOND * self._range).all())
+
+    def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
+        whole = np.isfinite(observation).all()
+        if not self._begun:
+            self._begin(np.where(np.isfinite(observation), observation, 0.0), last_input)
+            return
+        self._chart.measure(observation, last_input)
+        self._z, predicted = self._step(self._z, last_input)
+        if not whole:
+            self.counts["missing"] += 1
+        else:
+            self._update(observation - predicted - self._d)
+        if not np.isfinite(self._z).all():
+            self._start_anew()
+
+    def _begin(self, observation: np.ndarray, last_input: np.ndarray) -> None:
+        self._begun = True
+        self._chart.measure(observation, last_input)
+        z, y = self.rest(last_input)
+        self._z, self._d = z.copy(), np.clip(observation - y, -self._limit, self._limit)
+
+    def _update(self, error: np.ndarray) -> None:
+        if not self._gate.passes(float(error @ self._precision @ error) / len(error)):
+            self.counts["gated"] += 1
+            return
+        n, correction = len(self._z), self._gain @ error
+        self._z = self._z + correction[:n]
+        self._d = np.minimum(np.maximum(self._d + correction[n:], -self._limit), self._limit)
+        mispredicts = np.abs(error[self._watched]).max() > self._lost
+        self._strange = self._strange + 1 if mispredicts and not self._inside(self._z) else 0
+        if self._strange > STRANGE:
+            self._start_anew()
+
+    def _start_anew(self) -> None:
+        z, _, _ = self._chart.state()
+        if np.isfinite(z).all():
+            self._z = np.clip(z, -self._range, self._range)
+            self._strange = 0
+            self.counts["restarted"] += 1
+
+    def state(self) -> tuple[np.ndarray, None, np.ndarray]:
+        return self._z.copy(), None, self._d.copy()

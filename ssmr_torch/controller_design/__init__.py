@@ -1,0 +1,1 @@
+"""A controller designed from recordings alone: actuator, model, noises, observer and weights."""

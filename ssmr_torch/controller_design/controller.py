@@ -1,0 +1,36 @@
+"""From a design to the settings of the controller that runs it."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from ssmr_torch.control.actuator import Actuator
+from ssmr_torch.control.disturbance_observer import DisturbanceObserver
+from ssmr_torch.control.settings import PredictiveControlSettings
+from ssmr_torch.controller_design.loops import Weights
+from ssmr_torch.controller_design.noises import Likelihood, Observer
+from ssmr_torch.controller_design.recordings import Recordings
+
+HUBER = 5e-3         # of the reach: tracking error from which its cost grows linearly
+LOST = 0.02          # of the reach: no good prediction misses by more
+LIMIT = 1.5          # of the reach: the largest disturbance of an output that is believed
+APPROACH = 2.0       # s, from where the robot is to the reference
+
+
+def settings_of(weights: Weights, observer: Observer, actuator: Actuator, acted: Recordings,
+                likelihood: Likelihood) -> PredictiveControlSettings:
+    """Settings in SI of weights and observer in units of reach and input range."""
+    n, reach = likelihood.model.state_dim, acted.reach
+    gain = likelihood.whole_gain(observer)
+    gain[:n] /= reach
+    neutral = acted.neutral
+    watch = partial(DisturbanceObserver, gain=gain, covariance=observer.covariance * reach**2, limit=LIMIT * reach,
+                    lost=LOST * reach, watched=tuple(acted.tracked))
+    return PredictiveControlSettings(
+        horizon=weights.horizon, period=acted.timestep, output_weight=1.0 / (weights.tolerance * reach)**2,
+        input_weight=weights.input, input_target=tuple(acted.usual_input.tolist()), move_weight=weights.move, huber=HUBER * reach, observer=watch,
+        actuator=None if actuator.trivial else actuator, approach=APPROACH, safe_input=tuple(neutral.tolist()),
+        input_rate=None if actuator.rate is None else tuple((actuator.rate * np.array(actuator.input_range)).tolist()),
+        frozen_after=0 if actuator.rubs else 5)

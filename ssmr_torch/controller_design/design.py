@@ -1,0 +1,136 @@
+"""From recordings to a controller: `design`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from contextlib import nullcontext
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+
+from ssmr_torch.control.actuator import Actuator
+from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.controller_design.controller import settings_of
+from ssmr_torch.controller_design.identification import Identification, identify
+from ssmr_torch.controller_design.model_choice import (
+    SEARCHED,
+    WILD,
+    ChosenModel,
+    acting_dataset,
+    choose_predictive,
+    horizon_error,
+    spectral_radii,
+)
+from ssmr_torch.controller_design.noises import Likelihood
+from ssmr_torch.controller_design.recordings import Recordings, recordings_of
+from ssmr_torch.controller_design.report import DesignReport
+from ssmr_torch.controller_design.weights import choose_weights
+from ssmr_torch.trained_model import TrainedModel
+from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
+
+LOOPS = 240          # steps of the bar: designs whose margins are looked at, and loops against the twin
+
+
+class Designed(NamedTuple):
+    """controller: ready to run; report: what was found, and why, see `DesignReport`."""
+
+    controller: ModelPredictiveController
+    report: DesignReport
+
+
+def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator | None = None,
+           progress: bool | None = None) -> Designed:
+    """A controller for the task from recordings alone; no closed loop of the robot is needed.
+
+    1. Delay, lag, friction and rate limit of the actuators, by what a cheap model predicts of held-out runs.
+    2. The model, trained on inputs that act. model: "predictive" (or None, "auto"): a predictive chart chosen by the
+       held-out runs; another kind of conf/model, such as "ssmr" or "dmd", fitted by its defaults; or a `TrainedModel`,
+       whose kind is fitted again where the inputs that act are not the commands, with the options it was fitted with.
+    3. Noises of inputs, states, disturbance and sensors by the likelihood of held-out runs; the stationary observer.
+    4. Observer and weights by margins along the recordings and by loops against a twin, a second model.
+
+    data: recordings with controlled runs under dither; training and validation runs are used, test runs never.
+    task: of `ssmr_torch.tasks`; its outputs are tracked.   bounds: (2, m), lowest and highest command.
+    identified: an actuator that is known already; None: it is identified.
+    progress: a bar on the terminal, and a line for each finding; None: a bar alone, where there is a terminal.
+
+    Returns `(controller, report)`. Raises ValueError, with the reason, where the recordings cannot tell; TypeError for
+    data that are no dataset.
+
+    >>> controller, report = design("auto", data, task, bounds)                            # doctest: +SKIP
+    """
+    refuse_other_data(data)
+    began = perf_counter()
+    recordings = recordings_of(data, task.columns(data.output_names), bounds)
+    shown = progress if progress is not None else sys.stderr.isatty()
+    say = print if progress else lambda line: None
+    with _bar(shown) as tell:
+        found = _given(identified, recordings) if identified else identify(recordings, say=say)
+        acted = recordings.under(found.actuator)
+        chosen = _chosen(model, data, acted, found.actuator, say)
+        likelihood = Likelihood(chosen.model, acted)
+        noises = likelihood.most_likely(say=say)
+        search = choose_weights(chosen, found.actuator, acted, likelihood, noises, task=task, tell=tell, say=say)
+    settings = settings_of(search.best.weights, search.best.observer, search.actuator, acted, likelihood)
+    controller = ModelPredictiveController(chosen.model, task, recordings.bounds, settings, timestep=data.timestep,
+                                           output_names=data.output_names)
+    report = DesignReport(recordings, found, chosen, noises, search, likelihood, task.name, perf_counter() - began)
+    return Designed(controller, report)
+
+
+def _given(actuator: Actuator, recordings: Recordings) -> Identification:
+    if len(actuator.input_range) != recordings.input_dim or actuator.timestep != recordings.timestep:
+        raise ValueError(f"the actuator has {len(actuator.input_range)} inputs and steps of {actuator.timestep:g} s; the "
+                         f"recordings {recordings.input_dim} and {recordings.timestep:g} s")
+    return Identification(actuator, np.nan, np.nan, {}, {}, {})
+
+
+def _chosen(model, data: TrajectoryDataset, acted: Recordings, actuator: Actuator,
+            say: Callable[[str], None]) -> ChosenModel:
+    """The model that was asked for, and a predictive one as its twin."""
+    if model in SEARCHED if isinstance(model, str | None) else False:
+        return choose_predictive(acted, say=say)
+    from ssmr_torch.fitting.by_kind import fit  # Torch and Lightning, which a predictive model does not need
+
+    if isinstance(model, str):
+        trained = fit(acting_dataset(data, actuator), model, progress=False)
+    elif not actuator.trivial and isinstance(model, TrainedModel):
+        kind, options = _as_fitted(model)
+        trained = fit(acting_dataset(data, actuator), kind, progress=False, **options)
+    else:
+        trained = model
+    reduced = trained.reduced.numpy().at_timestep(data.timestep)
+    error = horizon_error(reduced, acted)
+    radius = float(np.quantile(spectral_radii(reduced, acted), 0.9))
+    if not np.isfinite(error):
+        raise ValueError(f"{model} does not follow the held-out runs for 20 samples; design on another model, such as "
+                         "'auto'")
+    say(f"model: {reduced.kind} of {reduced.state_dim} states; held-out error {100 * error:.3g} % of the reach"
+        + (f"; its Jacobians grow by up to {radius:.3g} a sample" if radius > WILD else ""))
+    predictive = choose_predictive(acted)
+    return ChosenModel(reduced, error, predictive.model, predictive.error,
+                       f"{getattr(trained, 'name', model)}: {reduced.kind} of {reduced.state_dim} states",
+                       predictive.words, predictive.tried)
+
+
+def _as_fitted(model: TrainedModel) -> tuple[str, dict]:
+    """Kind and name with which a model was fitted. Raises ValueError for one that does not tell."""
+    made = (model.card.get("provenance") or {}).get("training") or {}
+    kind = ((made.get("config") or {}).get("hydra_choices") or {}).get("model") or model.name.lower()
+    return kind, {}
+
+
+def _bar(shown: bool):
+    """A context that gives `tell(steps)`."""
+    if not shown:
+        return nullcontext(lambda steps: None)
+    from tqdm import tqdm
+
+    class Bar(tqdm):
+        def __enter__(self):
+            super().__enter__()
+            return self.update
+
+    return Bar(total=LOOPS, desc="design", leave=False)

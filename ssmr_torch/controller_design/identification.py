@@ -1,0 +1,130 @@
+"""Delay, lag, friction and rate limit of the actuators, by what a cheap model predicts with acting inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from ssmr_torch.control.actuator import Actuator
+from ssmr_torch.controller_design.predictive import Form, Regression, Scaled, chart, held_error
+from ssmr_torch.controller_design.recordings import Recordings
+
+DELAYS = range(7)                                 # samples
+LAGS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0)        # samples
+FRICTIONS = (("play", 0.02), ("play", 0.06), ("friction", 0.06), ("friction", 0.15))
+FINE = {"play": (0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.13),
+        "friction": (0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08, 0.09, 0.1, 0.12, 0.15, 0.2, 0.25)}
+RATES = (40.0, 20.0, 10.0, 5.0)                   # input ranges per s
+GAIN = 0.97          # of the error of commands that act as they are: what an actuator must reach to be believed
+STEPS = 20           # samples of the predictions that are judged
+MORE_STATES, WINDOW, FUTURE = 6, 4, 10
+ROWS = 5000
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """actuator; error, plain: of the held-out predictions with it and with commands that act as they are, of the reach.
+    by_delay, by_lag, by_friction: errors over one setting, the others as found: {value: error}; delay in samples, lag in
+    s, friction as ("play", half) or ("friction", μθ).
+    """
+
+    actuator: Actuator
+    error: float
+    plain: float
+    by_delay: dict[int, float]
+    by_lag: dict[float, float]
+    by_friction: dict[tuple[str, float], float]
+
+
+class _Search:
+    """Errors of a bilinear model of few coordinates, whose chart sees no past inputs: with them it would hide a lag."""
+
+    def __init__(self, recordings: Recordings):
+        self.scaled = Scaled(recordings, FUTURE, ROWS)
+        keep = tuple(recordings.tracked)
+        most = WINDOW * recordings.output_dim
+        self.form = Form(keep, WINDOW, min(len(keep) + MORE_STATES, most), 2, 0, 1e-6, past_inputs=False)
+        self.columns = list(recordings.tracked)
+        self.errors: dict[Actuator, float] = {}
+
+    def error(self, actuator: Actuator) -> float:
+        if actuator not in self.errors:
+            acted = self.scaled.under(actuator)
+            form = self.form
+            regression = Regression(acted, chart(acted, form.keep, form.window, False), form)
+            table = regression.dynamics(2, form.ridge)
+            self.errors[actuator] = held_error(regression.errors(table, STEPS), self.columns)
+        return self.errors[actuator]
+
+    def least(self, candidates) -> Actuator:
+        return min(candidates, key=self.error)
+
+
+def identify(recordings: Recordings, *, say: Callable[[str], None] = lambda line: None) -> Identification:
+    """Delay and lag on a grid, jointly with friction, as a lag would swallow it; then each setting by itself.
+
+    An actuator is believed only where it predicts held-out runs better than commands that act as they are, by more than
+    3 %; so is each of its parts in turn, the simplest first.
+    """
+    search = _Search(recordings)
+    none = Actuator(recordings.timestep, tuple(recordings.input_range.tolist()))
+    best = search.least(_over_delay_and_lag(none))
+    if search.error(best) > GAIN * search.error(none):
+        best = none
+    rubbing = [replace(best, **{name: value}) for name, value in FRICTIONS
+               if name == "play" or (recordings.bounds[0] >= 0).all()]
+    for start in rubbing:
+        near = search.least(_near(start))
+        if search.error(near) < GAIN * search.error(best):
+            best = near
+    for _ in range(0 if best.trivial else 2):
+        best = search.least([best, *_near(best), *_other_frictions(best)])
+    limited = search.least([replace(best, rate=rate) for rate in RATES])
+    if search.error(limited) < GAIN * search.error(best):
+        best = limited
+    found = Identification(best, search.error(best), search.error(none), *_profiles(search, best, recordings))
+    say(f"actuator: {in_words(best)}; held-out error {100 * found.error:.3g} % of the reach, "
+        f"{100 * found.plain:.3g} % without")
+    return found
+
+
+def _over_delay_and_lag(actuator: Actuator) -> list[Actuator]:
+    return [replace(actuator, delay=delay, lag=lag * actuator.timestep) for delay, lag in product(DELAYS, LAGS)]
+
+
+def _near(actuator: Actuator) -> list[Actuator]:
+    """Neighbours in delay and lag."""
+    place = int(np.argmin([abs(lag * actuator.timestep - actuator.lag) for lag in LAGS]))
+    lags = [LAGS[k] for k in range(max(0, place - 2), min(len(LAGS), place + 2))]
+    delays = [actuator.delay + k for k in (-1, 0, 1) if actuator.delay + k >= 0]
+    return [replace(actuator, delay=delay, lag=lag * actuator.timestep) for delay, lag in product(delays, lags)]
+
+
+def _other_frictions(actuator: Actuator) -> list[Actuator]:
+    return [replace(actuator, **{name: value}) for name, values in FINE.items() if getattr(actuator, name) > 0
+            for value in values if 0.4 < value / getattr(actuator, name) < 2.5]
+
+
+def _profiles(search: _Search, best: Actuator, recordings: Recordings):
+    delays = {delay: search.error(replace(best, delay=delay)) for delay in range(max(DELAYS[-1], best.delay + 2) + 1)}
+    lags = {lag * best.timestep: search.error(replace(best, lag=lag * best.timestep)) for lag in LAGS}
+    plain = replace(best, play=0.0, friction=0.0)
+    names = ["play", "friction"] if (recordings.bounds[0] >= 0).all() else ["play"]
+    frictions = {(name, value): search.error(replace(plain, **{name: value} if value else {}))
+                 for name in names for value in (0.0, *FINE[name][::3])}
+    return delays, lags, frictions
+
+
+def in_words(actuator: Actuator) -> str:
+    """What it consists of, "none" where commands act as they are."""
+    parts = [f"delay {1e3 * actuator.delay * actuator.timestep:g} ms"] if actuator.delay else []
+    parts += [f"lag {1e3 * actuator.lag:.3g} ms"] if actuator.lag else []
+    parts += [f"play ±{100 * actuator.play:.3g} % of the input range"] if actuator.play else []
+    parts += [f"cable friction μθ = {actuator.friction:.3g}"] if actuator.friction else []
+    parts += [f"at most {actuator.rate:g} input ranges per s"] if actuator.rate else []
+    parts += [f"gains {', '.join(f'{g:.3g}' for g in actuator.gain)}"] if actuator.gain else []
+    parts += [f"offsets {', '.join(f'{100 * g:.2g}' for g in actuator.offset)} % of the range"] if actuator.offset else []
+    return ", ".join(parts) or "none, commands act as they are"

@@ -1,0 +1,114 @@
+"""What a design found and why: sentences, plain values, and figures."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ssmr_torch import data_sheet as sheet
+from ssmr_torch.controller_design.identification import Identification, in_words
+from ssmr_torch.controller_design.model_choice import ChosenModel
+from ssmr_torch.controller_design.noises import Likelihood, Noises
+from ssmr_torch.controller_design.recordings import Recordings
+from ssmr_torch.controller_design.weights import PEAK, WeightSearch
+from ssmr_torch.data_sheet import DataSheet
+
+
+@dataclass(frozen=True, eq=False)
+class DesignReport(DataSheet):
+    """All that a design found. seconds: that it took.
+
+    `sentences` says it in words, `facts` as plain values, `save(folder)` writes both with figures.
+    """
+
+    recordings: Recordings
+    identification: Identification
+    model: ChosenModel
+    noises: Noises
+    search: WeightSearch
+    likelihood: Likelihood
+    task: str
+    seconds: float
+
+    @property
+    def facts(self) -> dict:
+        """Plain values, as JSON has them."""
+        best, found, recordings = self.search.best, self.identification, self.recordings
+        return {
+            "task": self.task, "reach": recordings.reach, "minutes": recordings.minutes,
+            "actuator": self.search.actuator.plain(), "actuator_error": _finite(found.error),
+            "commands_error": _finite(found.plain), "model": self.model.words, "model_error": _finite(self.model.error),
+            "twin": self.model.twin_words, "twin_error": _finite(self.model.twin_error),
+            "noises": {"inputs": self.noises.inputs, "states": self.noises.states,
+                       "disturbance": self.noises.disturbance, "sensor": self.noises.sensor},
+            "designs": {"count": self.search.count, "stable": self.search.stable, "safe": self.search.safe,
+                        "extra_delay": self.search.extra * recordings.timestep, "judged_by": self.search.judged_by},
+            "weights": {"horizon": best.weights.horizon, "tolerance": best.weights.tolerance,
+                        "input": best.weights.input, "move": best.weights.move, "observer": list(best.factors)},
+            "margins": {name: _finite(value) for name, value in vars(best.margins).items()},
+            "predicted_error": _finite(best.predicted),
+            "against_twin": {name: _finite(value) for name, value in best.against_twin.items()},
+            "seconds": self.seconds}
+
+    @property
+    def sentences(self) -> list[str]:
+        """What was found, what was decided by it, and what the recordings could not tell."""
+        best, found, search, reach = self.search.best, self.identification, self.search, self.recordings.reach
+        mm = 1e3 * reach
+        lines = [f"The actuators: {in_words(search.actuator)}."]
+        if np.isfinite(found.error):
+            lines.append(f"With them a cheap model misses held-out runs by {100 * found.error:.3g} % of the reach, without "
+                         f"by {100 * found.plain:.3g} %.")
+        lines += [f"The model: {self.model.words}. It misses held-out runs by {100 * self.model.error:.3g} % of the "
+                  f"reach ({mm * self.model.error:.3g} mm), on the mean of 1 to 20 samples.",
+                  f"The noise of the sensors is {mm * self.noises.sensor:.3g} mm.",
+                  f"{search.stable} of {search.count} designs are stable along the recordings, {search.safe} keep all "
+                  f"margins: {1e3 * search.extra * self.recordings.timestep:g} ms more delay, half and twice the gain, "
+                  f"a sensitivity of {PEAK:g}."]
+        if not search.safe:
+            lines.append("No design keeps all margins; the most robust one was taken. Expect it to be calm, not "
+                         "accurate; recordings with more dither may tell more.")
+        if search.judged_by == "margins":
+            lines.append("Every loop against the twin was lost, so the twin is no judge; the margins decided.")
+        lines.append(f"Predicted tracking error: {100 * best.predicted:.3g} % of the reach ({mm * best.predicted:.3g} mm).")
+        lost = [name for name, error in best.against_twin.items() if not np.isfinite(error)]
+        if lost:
+            lines.append(f"Against the twin the loop got lost with: {', '.join(lost)}.")
+        return lines
+
+    def data_sheet(self) -> tuple[str, dict]:
+        best, mm = self.search.best, 1e3 * self.recordings.reach
+        twin = {name: "lost" if not np.isfinite(error) else f"{100 * error:.3g} % of the reach, {mm * error:.3g} mm"
+                for name, error in best.against_twin.items()}
+        return f"DesignReport for {self.task!r}: {self.seconds:.0f} s, {self.recordings.minutes:.2g} min of recordings", {
+            "actuator": in_words(self.search.actuator), "model": self.model.words,
+            "held-out error": f"{100 * self.model.error:.3g} % of the reach of {mm:.4g} mm",
+            "noise of the sensors": f"{sheet.number(mm * self.noises.sensor)} mm",
+            "designs": f"{self.search.stable} of {self.search.count} stable, {self.search.safe} with all margins",
+            "weights": f"move {best.weights.move:g}, observer × {', '.join(f'{each:g}' for each in best.factors)}",
+            "margins": ", ".join(f"{name} {value:.3g}" for name, value in vars(best.margins).items()),
+            "predicted error": f"{100 * best.predicted:.3g} % of the reach",
+            "against the twin": twin or "not tried"}
+
+    def save(self, folder: str | Path) -> Path:
+        """Write design.json, design.md and the figures; each file appears only when it is complete."""
+        from ssmr_torch.controller_design.figures import draw
+
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        pictures = draw(self, folder)
+        text = "\n\n".join([f"# Design for {self.task}", "```\n" + repr(self) + "\n```", *self.sentences,
+                            *(f"![{path.stem}]({path.name})" for path in pictures)])
+        for name, content in (("design.json", json.dumps(self.facts, indent=2, allow_nan=False)), ("design.md", text)):
+            aside = folder / f"{name}.part"
+            aside.write_text(content + "\n")
+            os.replace(aside, folder / name)
+        return folder
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

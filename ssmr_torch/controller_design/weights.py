@@ -1,0 +1,182 @@
+"""Observer and weights: those with margins along the recordings, ranked by loops against the disturbed twin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from ssmr_torch.control.actuator import Actuator
+from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.controller_design.controller import settings_of
+from ssmr_torch.controller_design.loops import Margins, Point, Weights
+from ssmr_torch.controller_design.model_choice import ChosenModel, points_along
+from ssmr_torch.controller_design.noises import Likelihood, Noises, Observer
+from ssmr_torch.controller_design.recordings import Recordings
+from ssmr_torch.controller_design.twin import CASES, LOST, WIDER, Case, Twin, recorded_motion, tracking_error
+from ssmr_torch.tasks.references import Task
+
+OF_STATES, OF_DISTURBANCE, OF_SENSOR = (1.0, 0.1, 0.01), (0.3, 1.0, 3.0, 10.0), (1.0, 4.0)
+MOVES = (4.0, 40.0, 400.0, 4e3, 4e4, 4e5)
+TOLERANCE, HORIZON = 1e-3, 10
+OF_MOVE, MOST = 0.01, 40.0   # the input weight: of the move weight, so that free directions follow within ten samples, and at
+# most what biases tracking by 4e-5 of the reach per range of input
+POINTS = 4           # along the recordings, at which margins are asked for
+EXTRA_DELAY = 0.06   # s, that a loop must stand, but no more than `SHARE_OF_LOOP` of its own time
+SHARE_OF_LOOP = 3.0  # samples beyond the actuator's own delay and lag
+PEAK = 2.0           # of the sensitivity
+TRIES = 10           # designs that are tried against the twin
+FAR = 1.25           # times the least error out of reach, that a design may make there
+EASES = (0.3, 2.0)   # of a play's width, beside the actuator's own, over which the command may cross it
+DRIFT = 3.0          # how much stronger the disturbance is taken to be in use than in the recordings
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """One observer and its weights.   predicted: rms tracking error by the linear loop, of the reach.
+    against_twin: rms tracking error by case, of the reach; infinite where it got lost.
+    factors: of the noises of the recordings: states and inputs, disturbance, sensor.
+    """
+
+    factors: tuple[float, float, float]
+    weights: Weights
+    observer: Observer
+    margins: Margins
+    predicted: float
+    against_twin: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class WeightSearch:
+    """best; stable, safe: how many designs were stable, and kept all margins; count: of all; extra: samples of delay
+    that they had to stand; judged_by: "twin", or "margins" where every loop against the twin was lost. points: of the
+    margins.
+    """
+
+    best: Design
+    actuator: Actuator
+    count: int
+    stable: int
+    safe: int
+    extra: int
+    judged_by: str
+    points: list[Point]
+
+
+class _Candidates:
+    """All designs of the grid, with their margins."""
+
+    def __init__(self, model, actuator: Actuator, acted: Recordings, likelihood: Likelihood, noises: Noises):
+        z, u = points_along(model, acted, POINTS)
+        self.points = [Point(model, actuator, z[k], u[k], likelihood.free, acted.reach, acted.input_range, acted.tracked)
+                       for k in range(POINTS)]
+        self.likelihood, self.noises = likelihood, noises
+        self.truth = likelihood.observer(noises.times(disturbance=DRIFT))
+        own = 1 + actuator.delay + actuator.lag / actuator.timestep
+        allowed = min(EXTRA_DELAY / actuator.timestep, SHARE_OF_LOOP * own)
+        self.extra = max(1, int(allowed))
+
+    def all(self, tell: Callable[[int], None]) -> list[Design]:
+        found = []
+        for states, disturbance, sensor in product(OF_STATES, OF_DISTURBANCE, OF_SENSOR):
+            try:
+                observer = self.likelihood.observer(self.noises.times(states, states, disturbance, sensor))
+            except (np.linalg.LinAlgError, ValueError):
+                continue
+            for move in MOVES:
+                weights = Weights(HORIZON, TOLERANCE, min(OF_MOVE * move, MOST), move)
+                margins = self._margins(observer, weights)
+                found.append(Design((states, disturbance, sensor), weights, observer, margins, np.inf, {}))
+                tell(1)
+        return found
+
+    def _margins(self, observer: Observer, weights: Weights) -> Margins:
+        worst = Margins()
+        for point in self.points:
+            worst = worst.worse(point.margins(observer, weights, self.extra))
+            if worst.nominal >= 1.0:
+                break
+        return worst
+
+    def predicted(self, design: Design) -> float:
+        variances = [point.predicted_variance(design.observer, self.truth, design.weights) for point in self.points[:2]]
+        return float(np.sqrt(np.mean(variances)))
+
+
+def choose_weights(chosen: ChosenModel, actuator: Actuator, acted: Recordings, likelihood: Likelihood, noises: Noises,
+                   *, task: Task, tell: Callable[[int], None] = lambda steps: None,
+                   say: Callable[[str], None] = lambda line: None) -> WeightSearch:
+    """Among the designs with margins at every point, the one with the least error against the disturbed twin.
+
+    The twin is run as it is and disturbed, along a recorded motion, and along one that is out of reach, where a good
+    design stays close and calm. Where none has all margins the most robust ones are tried, and where the twin loses
+    every loop it is no judge: the predicted error decides, and both are said.
+    """
+    candidates = _Candidates(chosen.model, actuator, acted, likelihood, noises)
+    designs = candidates.all(tell)
+    stable = [each for each in designs if each.margins.nominal < 1.0]
+    if not stable:
+        raise ValueError(f"none of {len(designs)} observers and weights makes a stable loop with this model at "
+                         f"{len(candidates.points)} points of the recordings; its held-out error is "
+                         f"{100 * chosen.error:.3g} % of the reach: record longer or more slowly, or take another model")
+    safe = [each for each in stable if each.margins.shortfall(PEAK) < 1.0]
+    say(f"designs: {len(stable)} of {len(designs)} stable, {len(safe)} with all margins "
+        f"({1e3 * candidates.extra * actuator.timestep:g} ms more delay, half and twice the gain, sensitivity {PEAK:g})")
+    picked = [replace(each, predicted=candidates.predicted(each)) for each in
+              (safe or sorted(stable, key=lambda each: each.margins.shortfall(PEAK))[:TRIES])]
+    picked.sort(key=lambda each: each.predicted if safe else each.margins.shortfall(PEAK))
+    if len(picked) > TRIES:
+        half = TRIES // 2
+        picked = picked[:half] + [picked[k] for k in np.linspace(half, len(picked) - 1, TRIES - half).astype(int)]
+    trial = _Trial(chosen, actuator, acted, likelihood, noises, task, tell)
+    tried = trial.all(picked)
+    kept = [each for each in tried if each.against_twin and np.isfinite(list(each.against_twin.values())).any()]
+    best = min(kept, key=_score) if kept else picked[0]
+    judged = "twin" if kept else "margins"
+    if kept and actuator.rubs:
+        eased = [(replace(actuator, ease=ease), trial.disturbed(best, replace(actuator, ease=ease))) for ease in EASES]
+        actuator, best = min([(actuator, best), *eased], key=lambda each: _score(each[1]))
+    say(f"weights: move {best.weights.move:g}, observer × {best.factors}; predicted error "
+        f"{100 * best.predicted:.3g} % of the reach; against the twin "
+        + ", ".join(f"{name} {100 * error:.3g} %" for name, error in best.against_twin.items()))
+    return WeightSearch(best, actuator, len(designs), len(stable), len(safe), candidates.extra, judged, candidates.points)
+
+
+def _score(design: Design) -> float:
+    """Mean logarithm of the errors; a loop that got lost counts as the whole reach."""
+    return float(np.mean(np.log(np.minimum(list(design.against_twin.values()), 1.0))))
+
+
+class _Trial:
+    """Loops of designs against the twin, disturbed, along a recorded motion and along one that is out of reach."""
+
+    def __init__(self, chosen: ChosenModel, actuator: Actuator, acted: Recordings, likelihood: Likelihood,
+                 noises: Noises, task: Task, tell: Callable[[int], None]):
+        self.chosen, self.actuator, self.acted, self.likelihood = chosen, actuator, acted, likelihood
+        self.noises, self.tell = noises, tell
+        self.motion = recorded_motion(acted, task.tracked)
+        self.far = recorded_motion(acted, task.tracked, scale=WIDER)
+
+    def error(self, design: Design, path: Task, case: Case, lost: float, actuator: Actuator | None = None) -> float:
+        acted, actuator = self.acted, actuator or self.actuator
+        controller = ModelPredictiveController(
+            self.chosen.model, path, acted.bounds, timestep=acted.timestep, output_names=acted.output_names,
+            settings=settings_of(design.weights, design.observer, actuator, acted, self.likelihood))
+        twin = Twin(self.chosen.twin, self.actuator, acted, self.noises, case)
+        found = tracking_error(twin, controller, path, acted.tracked, lost=lost)
+        self.tell(1)
+        return found
+
+    def disturbed(self, design: Design, actuator: Actuator | None = None) -> Design:
+        """The design with its errors against the disturbed twin."""
+        return replace(design, against_twin={case.name: self.error(design, self.motion, case, LOST, actuator)
+                                             for case in CASES})
+
+    def all(self, designs: list[Design]) -> list[Design]:
+        """Those of the designs that stay close to a motion out of reach, with their errors."""
+        far = [self.error(each, self.far, CASES[0], np.inf) for each in designs]
+        # a twin that itself explodes out of reach is no judge there
+        allowed = FAR * min(far) if min(far) < 1.0 else np.inf
+        return [self.disturbed(each) for each, error in zip(designs, far) if not error > allowed]

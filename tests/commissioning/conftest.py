@@ -1,0 +1,87 @@
+"""A bench robot with its card, a short excitation, and stand-ins for what takes long: fit, design and a person."""
+
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ssmr_torch.commissioning.card import BenchCard
+from ssmr_torch.commissioning.commission import commission
+from ssmr_torch.control.base import Command
+from ssmr_torch.data.collection import ControlledRun, collect
+from ssmr_torch.data.excitation import Dithered, SmoothRandom
+
+sys.path.append(str(Path(__file__).parent))
+
+from bench_robot import A, B, BenchRobot, C  # noqa: E402
+
+RUNS = (ControlledRun("smooth-train", Dithered(SmoothRandom(share=0.5)), 6.0, repeats=2),
+        ControlledRun("smooth-test", SmoothRandom(share=0.5), 4.0, split="test"))
+SHORT = partial(collect, decays=2, validation_decays=0, test_decays=1, decay_duration=1.0, controlled=RUNS,
+                progress=False)
+
+
+class Model:
+    """What a fit gives, as far as it is saved and shown."""
+
+    def save(self, folder):
+        Path(folder).mkdir(exist_ok=True)
+        (Path(folder) / "card.json").write_text("{}")
+
+    def __repr__(self):
+        return "a model"
+
+
+class Inverse:
+    """The input that would hold the reference at rest, of a robot whose gain is known."""
+
+    period = 0.01
+
+    def __init__(self, task, bounds):
+        self.task, self.bounds = task, bounds
+        self.gain = (-C @ np.linalg.solve(A, B))[list(task.columns(BenchRobot.output_names))]
+
+    def reset(self):
+        pass
+
+    def __call__(self, time, observation):
+        return Command(np.clip(np.linalg.solve(self.gain, self.task.reference(time)[0]), *self.bounds))
+
+
+@pytest.fixture
+def robot():
+    return BenchRobot
+
+
+@pytest.fixture
+def card():
+    """The card of the bench robot, with changes."""
+    return lambda **changes: BenchCard(**{"displacement_limit": 0.05, "rate_limit": 2.0, "tracked": ["x", "y"],
+                                          "expected": {"left": "+x", "right": "+y"}} | changes)
+
+
+class Checked:
+    """What a check of recordings says where there is nothing to say; the true one takes seconds."""
+
+    findings = ()
+
+
+@pytest.fixture
+def bring_up(tmp_path, card, monkeypatch):
+    """commission(robot) with what is short, in a directory that stays the same; the steps shown are in `seen`."""
+    monkeypatch.setattr("ssmr_torch.face.check", lambda data: Checked())
+
+    def call(plant, confirm=None, **changes):
+        def agree(step, text, faults):
+            call.seen.append((step, text, list(faults)))
+            return confirm(step, text, faults) if confirm else True
+
+        settings = {"excitation": SHORT, "fit": lambda data, kind: Model(), "rest_duration": 1.0, "laps": 1,
+                    "slow_lap": 6.0, "fast_lap": 3.0, "figures": False,
+                    "design": lambda kind, data, task, bounds: (Inverse(task, bounds), "a report")} | changes
+        return commission(plant, settings.pop("card", card()), tmp_path / "bench", confirm=agree, **settings)
+
+    call.seen, call.directory = [], tmp_path / "bench"
+    return call
