@@ -149,8 +149,7 @@ class ModelPredictiveController(DataSheet):
         weight = settings.output_weight
         linear, quadratic = (2.0 * settings.horizon * PULL * weight, 10.0 * weight) \
             if settings.violation_weight is None else settings.violation_weight
-        constraints = constraints_of(self.task, columns, p, settings.horizon, output_bounds=settings.output_bounds,
-                                     margins=settings.margins, linear=linear, quadratic=quadratic)
+        constraints = constraints_of(self.task, columns, p, settings, linear=linear, quadratic=quadratic)
         self._reference = _Reference(self.task, columns, p, settings.approach)
         self._bounds = np.array(input_bounds, dtype=np.float64)
         whole = {"input_range": np.ptp(self._bounds, axis=0)} if self.actuator.actuator.rubs else {}
