@@ -9,7 +9,7 @@ from scipy.optimize import lsq_linear
 
 from ssmr_torch import data_sheet as sheet
 from ssmr_torch.control.actuator import ActuatorState
-from ssmr_torch.control.disturbance_observer import stepper
+from ssmr_torch.control.stepping import Stepper
 from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.tasks.references import Task
 
@@ -89,7 +89,7 @@ def _loop(controller, task: Task, columns, speed: float) -> tuple[np.ndarray, np
                               timestep=controller.timestep, output_names=controller.output_names)
     runner.reset()
     fine = controller.model.at_timestep(controller.timestep)
-    step, state = stepper(fine), ActuatorState(controller.actuator.actuator)
+    step, state = Stepper(fine), ActuatorState(controller.actuator.actuator)
     state.rest_at(controller.safe_input)
     z, y = runner.estimator.rest(state.acting)
     commands, errors = [], []
@@ -130,7 +130,7 @@ def _fastest(controller, task: Task, columns, extent: float) -> float | None:
 def _static(controller, task: Task, columns) -> tuple[np.ndarray, dict]:
     """Least static error (K,), m, at points along the path, and how many inputs hold it at a bound."""
     fine = controller.model.at_timestep(controller.timestep)
-    step, actuator = stepper(fine), controller.actuator.actuator
+    step, actuator = Stepper(fine), controller.actuator.actuator
     lower, upper = (actuator.factor * bound + actuator.shift for bound in controller.input_bounds)
     columns, middle = list(columns), 0.5 * (lower + upper)
     z, _ = controller.estimator.rest(actuator.factor * controller.safe_input + actuator.shift)
