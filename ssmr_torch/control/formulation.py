@@ -38,8 +38,8 @@ def actuator_of(settings: PredictiveControlSettings, bounds: np.ndarray, timeste
         return Actuator(timestep, tuple(np.ptp(bounds, axis=0).tolist()))
     if len(given.input_range) != bounds.shape[1] or abs(given.timestep / timestep - 1.0) > ALIKE \
             or settings.period > (1.0 + ALIKE) * timestep:
-        raise ValueError(f"the actuator has {len(given.input_range)} inputs and steps of {given.timestep:g} s; expected "
-                         f"{bounds.shape[1]}, and the timestep {timestep:g} s as the period, which is "
+        raise ValueError(f"the actuator has {len(given.input_range)} inputs and steps of {given.timestep:g} s; "
+                         f"expected {bounds.shape[1]}, and the timestep {timestep:g} s as the period, which is "
                          f"{settings.period:g} s")
     return given
 
@@ -52,7 +52,8 @@ class TrackedReference:
     """
 
     def __init__(self, task, output_names, output_dim: int, approach: float):
-        self.task, self.columns, self.output_dim, self.approach = task, list(task.columns(output_names)), output_dim, approach
+        self.task, self.columns = task, list(task.columns(output_names))
+        self.output_dim, self.approach = output_dim, approach
         if max(self.columns) >= output_dim:
             raise ValueError(f"the task tracks output {max(self.columns)}; the model has {output_dim} outputs")
         self.begin_at(None, 0.0)

@@ -85,8 +85,8 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
 
 def _given(actuator: Actuator, recordings: Recordings) -> Identification:
     if len(actuator.input_range) != recordings.input_dim or actuator.timestep != recordings.timestep:
-        raise ValueError(f"the actuator has {len(actuator.input_range)} inputs and steps of {actuator.timestep:g} s; the "
-                         f"recordings {recordings.input_dim} and {recordings.timestep:g} s")
+        raise ValueError(f"the actuator has {len(actuator.input_range)} inputs and steps of {actuator.timestep:g} s; "
+                         f"the recordings {recordings.input_dim} and {recordings.timestep:g} s")
     return Identification(actuator, np.nan, np.nan, {}, {}, {})
 
 
@@ -98,8 +98,8 @@ def _believed(found: Identification, recordings: Recordings, say) -> tuple[Ident
     errors = [least_error(each) for each in (acted, recordings)]
     if errors[0] <= DISBELIEF * errors[1]:
         return found, acted
-    say(f"the actuator is not believed: the best model misses held-out runs by {100 * errors[0]:.3g} % of the reach with "
-        f"it, by {100 * errors[1]:.3g} % without")
+    say(f"the actuator is not believed: the best model misses held-out runs by {100 * errors[0]:.3g} % of the reach "
+        f"with it, by {100 * errors[1]:.3g} % without")
     none = Actuator(recordings.timestep, found.actuator.input_range)
     return replace(found, actuator=none, error=found.plain), recordings
 
