@@ -20,9 +20,9 @@ from ssmr_torch.controller_design.model_choice import (
     WILD,
     ChosenModel,
     acting_dataset,
+    all_tried,
     choose_predictive,
     horizon_error,
-    least_error,
     spectral_radii,
 )
 from ssmr_torch.controller_design.noises import Likelihood
@@ -71,8 +71,8 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
     say = print if progress else lambda line: None
     with _bar(shown) as tell:
         found = _given(identified, recordings) if identified else identify(recordings, say=say)
-        found, acted = _believed(found, recordings, say)
-        chosen = _chosen(model, data, acted, found.actuator, say)
+        found, acted, tried = _believed(found, recordings, say)
+        chosen = _chosen(model, data, acted, tried, found.actuator, say)
         likelihood = Likelihood(chosen.model, acted)
         noises = likelihood.most_likely(say=say)
         search = choose_weights(chosen, found.actuator, acted, likelihood, noises, task=task, tell=tell, say=say)
@@ -90,25 +90,28 @@ def _given(actuator: Actuator, recordings: Recordings) -> Identification:
     return Identification(actuator, np.nan, np.nan, {}, {}, {})
 
 
-def _believed(found: Identification, recordings: Recordings, say) -> tuple[Identification, Recordings]:
-    """The actuator, unless the best of all models predicts worse with it: then commands act as they are."""
+def _believed(found: Identification, recordings: Recordings, say) -> tuple[Identification, Recordings, list]:
+    """The actuator, unless the best of all models predicts worse with it: then commands act as they are; the recordings
+    under it, and what all models miss of them.
+    """
     acted = recordings.under(found.actuator)
+    tried = all_tried(acted)
     if found.actuator.trivial or np.isnan(found.error):
-        return found, acted
-    errors = [least_error(each) for each in (acted, recordings)]
-    if errors[0] <= DISBELIEF * errors[1]:
-        return found, acted
-    say(f"the actuator is not believed: the best model misses held-out runs by {100 * errors[0]:.3g} % of the reach "
-        f"with it, by {100 * errors[1]:.3g} % without")
+        return found, acted, tried
+    plain = all_tried(recordings)
+    if tried[0][1] <= DISBELIEF * plain[0][1]:
+        return found, acted, tried
+    say(f"the actuator is not believed: the best model misses held-out runs by {100 * tried[0][1]:.3g} % of the reach "
+        f"with it, by {100 * plain[0][1]:.3g} % without")
     none = Actuator(recordings.timestep, found.actuator.input_range)
-    return replace(found, actuator=none, error=found.plain), recordings
+    return replace(found, actuator=none, error=found.plain), recordings, plain
 
 
-def _chosen(model, data: TrajectoryDataset, acted: Recordings, actuator: Actuator,
+def _chosen(model, data: TrajectoryDataset, acted: Recordings, tried: list, actuator: Actuator,
             say: Callable[[str], None]) -> ChosenModel:
     """The model that was asked for, and a predictive one as its twin."""
     if model in SEARCHED if isinstance(model, str | None) else False:
-        return choose_predictive(acted, say=say)
+        return choose_predictive(acted, tried, say=say)
     from ssmr_torch.fitting.by_kind import fit  # Torch and Lightning, which a predictive model does not need
 
     if isinstance(model, str):
@@ -126,7 +129,7 @@ def _chosen(model, data: TrajectoryDataset, acted: Recordings, actuator: Actuato
                          "'auto'")
     say(f"model: {reduced.kind} of {reduced.state_dim} states; held-out error {100 * error:.3g} % of the reach"
         + (f"; its Jacobians grow by up to {radius:.3g} a sample" if radius > WILD else ""))
-    predictive = choose_predictive(acted)
+    predictive = choose_predictive(acted, tried)
     return ChosenModel(reduced, error, predictive.model, predictive.error,
                        f"{getattr(trained, 'name', model)}: {reduced.kind} of {reduced.state_dim} states",
                        predictive.words, predictive.tried)

@@ -98,7 +98,7 @@ class DesignReport(DataSheet):
 
     def save(self, folder: str | Path) -> Path:
         """Write design.json, design.md and the figures; each file appears only when it is complete."""
-        from ssmr_torch.controller_design.figures import draw
+        from ssmr_torch.evaluation.design_figures import draw
 
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
