@@ -80,7 +80,7 @@ KINDS = {
     "DMD": _steers(partial(window_model, 18)),
     "DMD, Kalman": _steers(partial(window_model, 18), observer=partial(KalmanObserver, disturbance="output")),
     "EDMD": _steers(lifted_model),
-    "static pregain": lambda: StaticPregainController(pregain_model(), SLOW, BOUNDS, input_weight=1e5),
+    "static pregain": lambda: StaticPregainController(pregain_model(), SLOW, BOUNDS, input_weight=3.6e4),
 }
 
 

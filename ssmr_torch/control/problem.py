@@ -156,10 +156,12 @@ class TrackingProblem:
         return changed
 
     def scaled_bounds(self, last_input: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of v, each (N m,); those of v_0 also limit the change from `last_input` (m,)."""
+        """Bounds of v, each (N m,); those of v_0 also limit the change from `last_input` (m,), which counts from the
+        bounds where these have changed since.
+        """
         lower, upper = self._scaled_box
         if self.input_step is not None and last_input is not None:
-            m = self.input_dim
+            m, last_input = self.input_dim, np.clip(last_input, *self.input_bounds)
             lower, upper = lower.copy(), upper.copy()
             lower[:m] = np.maximum(lower[:m], (last_input - self.input_step) / self.input_scale)
             upper[:m] = np.minimum(upper[:m], (last_input + self.input_step) / self.input_scale)
@@ -172,6 +174,7 @@ class TrackingProblem:
             for k in range(len(inputs)):
                 before = inputs[k - 1] if k else last_input
                 if before is not None:
+                    before = np.clip(before, *self.input_bounds)
                     inputs[k] = np.clip(inputs[k], before - self.input_step, before + self.input_step)
         return inputs
 

@@ -93,13 +93,16 @@ def test_a_repeated_call_changes_nothing_and_falls_back_to_the_input_that_is_hel
     assert one.fallbacks == {Status.WRONG_TIME: 60} and one.counts == {"repeated": 60}
 
 
+@pytest.mark.parametrize("approach", [0.0, 0.4])
 @pytest.mark.parametrize("jump", [-0.5, 20.0])
-def test_where_time_jumps_the_controller_begins_anew_from_where_the_robot_is(bench, jump):
-    observer = OBSERVERS["output, stationary"]
-    controller, late = (bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, observer=observer) for _ in range(2))
+def test_where_time_jumps_the_controller_begins_anew_from_where_the_robot_is(bench, jump, approach):
+    """As one that has not moved yet but for the input that is held: it approaches the reference from there again."""
+    controller, late = (bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, approach=approach,
+                                         observer=OBSERVERS["output, stationary"]) for _ in range(2))
     _, before = steered(bench, controller, 60)
     y = np.full(6, 2e-3)
     late._last_input = before[-1].input
+    late.actuator.rest_at(before[-1].input)
     late._start_anew()
     for k in range(10):
         ours, theirs = (one(0.6 + jump + 0.01 * k, y + 1e-5 * k) for one in (controller, late))
