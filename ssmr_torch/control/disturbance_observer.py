@@ -17,22 +17,25 @@ STRANGE = 10      # samples that it must do so
 SETTLING = 10.0   # s that the model is given to come to rest
 
 
-def stepper(model) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+class _Stepper:
     """(z (n,), u (m,)) → z⁺ and y⁺ = w(z⁺) of a model, by its compiled kernel where it has one."""
-    compiled = found(model.compiled)(model) if model.compiled else None
-    if compiled is None:
-        def plainly(z, u):
-            following = model.step(z, u)
-            return following, model.decode(following)
 
-        return plainly
-    tables, rollout, _ = compiled
+    def __init__(self, model):
+        self._model = model
+        compiled = found(model.compiled)(model) if model.compiled else None
+        self._tables, self._rollout, _ = (None, None, None) if compiled is None else compiled
 
-    def fast(z, u):
-        states, outputs = rollout(z, np.ascontiguousarray(u)[None], tables)
+    def __call__(self, z: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if self._rollout is None:
+            following = self._model.step(z, u)
+            return following, self._model.decode(following)
+        states, outputs = self._rollout(z, np.ascontiguousarray(u)[None], self._tables)
         return states[1], outputs[0]
 
-    return fast
+
+def stepper(model) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """(z (n,), u (m,)) → z⁺ and y⁺ = w(z⁺) of a model; it can be copied and pickled."""
+    return _Stepper(model)
 
 
 class DisturbanceObserver:
@@ -40,8 +43,8 @@ class DisturbanceObserver:
 
         z⁻ = f(z, v),   e = y − w(z⁻) − d,   z⁺ = z⁻ + K_z e,   d⁺ = d + K_d e,   |d| ≤ limit.
 
-    v: what acts on the robot. The first measurement is taken to be of a robot at rest under the v of then: what the
-    model does not explain of it belongs to d, not to z, so that a payload does not put the state where no data are.
+    v: what acts on the robot, which is taken to be at rest under the v of then at first. What the model does not explain
+    of the first whole measurement belongs to d, not to z, so that a payload does not put the state where no data are.
     An outlier, see `InnovationGate`, is left out. A sample that is missing, not finite, only predicts.
     A state beyond the recorded range that mispredicts as well, by `lost` in a watched output, starts anew from the
     chart of the last samples; d stays.
@@ -64,7 +67,7 @@ class DisturbanceObserver:
         self._step = stepper(model)
         self._chart = ChartEstimator(model, whole_steps("the model's window_timestep", model.window_timestep,
                                                         model.timestep))
-        self._rests: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+        self._rest: tuple[bytes, np.ndarray, np.ndarray] | None = None  # the last one, which takes long to find
         self._gate = InnovationGate()
         self.reset()
 
@@ -76,13 +79,13 @@ class DisturbanceObserver:
         """As `reset`, but counts stay."""
         self._chart.reset()
         self._gate.reset()
-        self._begun, self._strange = False, 0
+        self._begun, self._unloaded, self._strange = False, True, 0
         self._z, self._d = np.zeros(self.model.state_dim), np.zeros(self.model.output_dim)
 
     def rest(self, acting: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """State and output where the model comes to rest under v (m,); of rest itself where it leaves its range."""
         key = np.asarray(acting, dtype=np.float64).tobytes()
-        if key not in self._rests:
+        if self._rest is None or self._rest[0] != key:
             window = np.zeros((self.model.delays + 1, self.model.output_dim))
             start = self.model.encode(window, np.tile(acting, (self.model.delays, 1)))
             z, y = start, self.model.decode(start)
@@ -91,31 +94,24 @@ class DisturbanceObserver:
                     z, y = self._step(z, acting)
             if not self._inside(z):
                 z, y = start, self.model.decode(start)
-            self._rests[key] = z, y
-        return self._rests[key]
+            self._rest = key, z, y
+        return self._rest[1:]
 
     def _inside(self, z: np.ndarray) -> bool:
         return bool(np.isfinite(z).all() and (np.abs(z) <= BEYOND * self._range).all())
 
     def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
-        whole = np.isfinite(observation).all()
-        if not self._begun:
-            self._begin(np.where(np.isfinite(observation), observation, 0.0), last_input)
-            return
         self._chart.measure(observation, last_input)
-        self._z, predicted = self._step(self._z, last_input)
-        if not whole:
+        z, predicted = self._step(self._z, last_input) if self._begun else self.rest(last_input)
+        self._z, self._begun = z.copy(), True
+        if not np.isfinite(observation).all():
             self.counts["missing"] += 1
+        elif self._unloaded:
+            self._d, self._unloaded = np.clip(observation - predicted, -self._limit, self._limit), False
         else:
             self._update(observation - predicted - self._d)
         if not np.isfinite(self._z).all():
             self._start_anew()
-
-    def _begin(self, observation: np.ndarray, last_input: np.ndarray) -> None:
-        self._begun = True
-        self._chart.measure(observation, last_input)
-        z, y = self.rest(last_input)
-        self._z, self._d = z.copy(), np.clip(observation - y, -self._limit, self._limit)
 
     def _update(self, error: np.ndarray) -> None:
         if not self._gate.passes(float(error @ self._precision @ error) / len(error)):
