@@ -78,7 +78,10 @@ class TrackingProblem:
         if self.input_range is not None:
             self._set("input_range", _diagonal("input_range", self.input_range, inputs))
         if self.input_target is not None:
-            self._set("input_target", np.array(self.input_target, dtype=np.float64))
+            target = np.array(self.input_target, dtype=np.float64)
+            if target.shape != (inputs,) or not np.isfinite(target).all():
+                raise ValueError(f"input_target has shape {target.shape}; expected {inputs} finite numbers")
+            self._set("input_target", target)
         if self.huber is not None:
             self._check_huber()
         if not (self.input_weight > 0).all():
