@@ -73,14 +73,15 @@ class DisturbanceObserver:
 
     def reset(self) -> None:
         self.counts: Counter[str] = Counter()
+        self._unloaded, self._d = True, np.zeros(self.model.output_dim)
         self.forget()
 
     def forget(self) -> None:
-        """As `reset`, but counts stay."""
+        """As `reset`, but counts stay, and the disturbance: what hangs on the robot outlasts a gap in time."""
         self._chart.reset()
         self._gate.reset()
-        self._begun, self._unloaded, self._strange = False, True, 0
-        self._z, self._d = np.zeros(self.model.state_dim), np.zeros(self.model.output_dim)
+        self._begun, self._strange = False, 0
+        self._z = np.zeros(self.model.state_dim)
 
     def rest(self, acting: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """State and output where the model comes to rest under v (m,); of rest itself where it leaves its range."""

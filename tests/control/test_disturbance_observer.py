@@ -126,6 +126,17 @@ def test_missing_samples_are_bridged_by_the_model_and_counted(bench):
     assert observer.counts == {"missing": lost.sum()}
 
 
+def test_a_gap_in_time_leaves_the_disturbance_and_a_robot_that_moved_on_is_found_again(bench):
+    model, load = linear(bench), np.array([0.02, -0.01, 0.004])
+    observer, (inputs, outputs) = observer_of(model), driven(model, 300, load)
+    for k in (*range(100), *range(170, 300)):
+        if k == 170:
+            observer.forget()
+        observer.measure(outputs[k], inputs[k])
+        assert np.abs(observer.state()[2] - load).max() < (1e-3 if 170 <= k < 250 else 2e-4)
+    assert np.abs(model.decode(observer.state()[0]) + load - outputs[-1]).max() < 30 * NOISE
+
+
 def test_before_the_first_whole_measurement_there_is_no_disturbance(bench):
     model, observer = linear(bench), observer_of(linear(bench))
     inputs, outputs = driven(model, 20, np.full(3, 0.02))
