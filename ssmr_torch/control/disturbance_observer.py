@@ -47,7 +47,7 @@ class DisturbanceObserver:
     of the first whole measurement belongs to d, not to z, so that a payload does not put the state where no data are.
     An outlier, see `InnovationGate`, is left out. A sample that is missing, not finite, only predicts.
     A state beyond the recorded range that mispredicts as well, by `lost` in a watched output, starts anew from the
-    chart of the last samples; d stays.
+    chart of the last samples less d, and so does the first state after a gap in time; d stays.
 
     model: NumPy tables at the timestep of the measurements.   gain: (n + p, p), [K_z; K_d].   covariance: (p, p) m², of
     the innovation.   limit: (p,) m.   lost: m.   watched: columns of y.   input_range is not needed.
@@ -73,15 +73,15 @@ class DisturbanceObserver:
 
     def reset(self) -> None:
         self.counts: Counter[str] = Counter()
-        self._unloaded, self._d = True, np.zeros(self.model.output_dim)
+        self._z, self._d = np.zeros(self.model.state_dim), np.zeros(self.model.output_dim)
+        self._begun, self._unloaded = False, True
         self.forget()
 
     def forget(self) -> None:
         """As `reset`, but counts stay, and the disturbance: what hangs on the robot outlasts a gap in time."""
         self._chart.reset()
         self._gate.reset()
-        self._begun, self._strange = False, 0
-        self._z = np.zeros(self.model.state_dim)
+        self._gap, self._strange = self._begun, 0
 
     def rest(self, acting: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """State and output where the model comes to rest under v (m,); of rest itself where it leaves its range."""
@@ -102,17 +102,20 @@ class DisturbanceObserver:
         return bool(np.isfinite(z).all() and (np.abs(z) <= BEYOND * self._range).all())
 
     def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
-        self._chart.measure(observation, last_input)
         z, predicted = self._step(self._z, last_input) if self._begun else self.rest(last_input)
         self._z, self._begun = z.copy(), True
         if not np.isfinite(observation).all():
             self.counts["missing"] += 1
         elif self._unloaded:
             self._d, self._unloaded = np.clip(observation - predicted, -self._limit, self._limit), False
-        else:
+        elif not self._gap:
             self._update(observation - predicted - self._d)
-        if not np.isfinite(self._z).all():
-            self._start_anew()
+        self._chart.measure(observation - self._d, last_input)
+        if self._gap and np.isfinite(observation).all():
+            self._gap = False
+            self._from_chart()
+        elif self._strange > STRANGE or not np.isfinite(self._z).all():
+            self.counts["restarted"] += self._from_chart()
 
     def _update(self, error: np.ndarray) -> None:
         if not self._gate.passes(float(error @ self._precision @ error) / len(error)):
@@ -123,15 +126,14 @@ class DisturbanceObserver:
         self._d = np.minimum(np.maximum(self._d + correction[n:], -self._limit), self._limit)
         mispredicts = np.abs(error[self._watched]).max() > self._lost
         self._strange = self._strange + 1 if mispredicts and not self._inside(self._z) else 0
-        if self._strange > STRANGE:
-            self._start_anew()
 
-    def _start_anew(self) -> None:
+    def _from_chart(self) -> bool:
+        """Whether the chart knows a state, which is then that of the observer."""
         z, _, _ = self._chart.state()
-        if np.isfinite(z).all():
-            self._z = np.clip(z, -self._range, self._range)
-            self._strange = 0
-            self.counts["restarted"] += 1
+        known = bool(np.isfinite(z).all())
+        if known:
+            self._z, self._strange = np.clip(z, -self._range, self._range), 0
+        return known
 
     def state(self) -> tuple[np.ndarray, None, np.ndarray]:
         return self._z.copy(), None, self._d.copy()
