@@ -94,7 +94,8 @@ def tracking_cost(model, plant, angular_speed, input_weight):
                                            output_names=plant.output_names, input_weight=input_weight)
     record = simulate(plant, controller, task)
     assert not record.fallback.any()
-    return OUTPUT_WEIGHT * (record.error**2).sum() + input_weight * (np.square(record.input / np.ptp(plant.input_bounds, axis=0))).sum()
+    effort = np.square(record.input / np.ptp(plant.input_bounds, axis=0)).sum()
+    return OUTPUT_WEIGHT * (record.error**2).sum() + input_weight * effort
 
 
 @pytest.mark.slow

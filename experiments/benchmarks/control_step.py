@@ -104,8 +104,8 @@ def measure(horizon: int, laps: float = 6.0, build=predictive, model=None, task=
 
     build(model, task, BOUNDS, horizon=horizon) → the controller, which counts its `fallbacks`.   model, task: default
     the oscillators and the fast figure eight of so many laps; the plant is always the perturbed oscillators.
-    cost: mean of ‖y − ŷ‖²_Q + ‖u / range‖²_R over the control steps, with the plant's true outputs.   clearance: the smallest
-    from an obstacle at a control step, mm; infinite without one.
+    cost: mean of ‖y − ŷ‖²_Q + ‖u / range‖²_R over the control steps, with the plant's true outputs.   clearance: the
+    smallest from an obstacle at a control step, mm; infinite without one.
     """
     task = figure_eight(laps=laps) if task is None else task
     plant = ModelPlant(perturbed(oscillators(), 0.03))

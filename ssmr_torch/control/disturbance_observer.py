@@ -43,8 +43,9 @@ class DisturbanceObserver:
 
         z⁻ = f(z, v),   e = y − w(z⁻) − d,   z⁺ = z⁻ + K_z e,   d⁺ = d + K_d e,   |d| ≤ limit.
 
-    v: what acts on the robot, which is taken to be at rest under the v of then at first. What the model does not explain
-    of the first whole measurement belongs to d, not to z, so that a payload does not put the state where no data are.
+    v: what acts on the robot, which is taken to be at rest under the v of then at first. What the model does not
+    explain of the first whole measurement belongs to d, not to z, so that a payload does not put the state where no
+    data are.
     An outlier, see `InnovationGate`, is left out. A sample that is missing, not finite, only predicts.
     A state beyond the recorded range that mispredicts as well, by `lost` in a watched output, starts anew from the
     chart of the last samples less d, and so does the first state after a gap in time; d stays.

@@ -51,7 +51,8 @@ class Horizon(ABC):
         self.model, self.problem = model, problem
         self.input_offset: np.ndarray | None = None
         self.output_offset: np.ndarray | None = None
-        self.actuator = actuator if actuator is not None and (actuator.lag or actuator.gain or actuator.offset) else None
+        follows = actuator is not None and (actuator.lag or actuator.gain or actuator.offset)
+        self.actuator = actuator if follows else None
         self.lagged_from = np.zeros(problem.input_dim)
         self.last_input: np.ndarray | None = None
         self._weight = 2.0 * problem.stage_weight / problem.cost_scale

@@ -45,7 +45,8 @@ class StaticPregainController:
     @configurable(given=("timestep", "output_names"))
     def __init__(self, model, task, input_bounds, *, timestep: float | None = None, output_names=None,
                  period: float = Predictive.period, output_weight: float = Predictive.output_weight,
-                 input_weight: float | Sequence[float] = Predictive.input_weight, horizon: int | None = None, safe_input=None):
+                 input_weight: float | Sequence[float] = Predictive.input_weight, horizon: int | None = None,
+                 safe_input=None):
         model = model.reduced.numpy()
         if not isinstance(model, PregainModel) or not model.affine or model.structure.chart.highest > 1:
             raise ValueError("this controller takes a linear Koopman model with a pregain; train one with "

@@ -117,9 +117,8 @@ def test_the_reference_is_reached_from_where_the_robot_hangs_within_the_time_of_
                        for approach in (0.0, 0.8))
     jumps = [np.abs(np.diff([c.input for c in tracked(bench, one, SLOW, 60, hung=0.002)[0]], axis=0)).max()
              for one in (at_once, softly)]
-    print(jumps, tracked(bench, softly, SLOW, hung=0.002)[1])
     assert jumps[1] < 0.5 * jumps[0]
-    assert tracked(bench, softly, SLOW, hung=0.002)[1] < 1e-3
+    assert tracked(bench, softly, SLOW, hung=0.002)[1] < 5e-4  # time goes back, and the load is known already
 
 
 @pytest.mark.parametrize("settings", [{}, {"input_rate": 5.0}, {"actuator": RUBBING},
@@ -155,7 +154,8 @@ def test_a_copy_gives_the_same_commands_to_the_last_bit(bench, copied):
 
 
 def test_after_a_reset_the_same_measurements_give_the_same_commands_to_the_last_bit(bench):
-    controller, found = bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, **SETTINGS | {"actuator": RUBBING}), []
+    controller = bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, **SETTINGS | {"actuator": RUBBING})
+    found = []
     for _ in range(2):
         controller.reset()
         found.append([c.input for c in tracked(bench, controller, RUBBING, 80, observe=lambda k, y: y + (k == 40))[0]])

@@ -101,7 +101,8 @@ def test_the_hessian_is_that_of_gauss_and_newton_with_the_outputs_own_derivative
 
 def test_the_hessian_is_that_of_the_cost_when_the_model_is_linear(bench):
     problem = problem_of(bench, **COSTS["moves"], input_target=np.full(4, 0.1))
-    horizon, (state, inputs), reference = horizon_of(bench, "linear", problem), point_of(3), problem.reference_ahead(0.1)
+    horizon, reference = horizon_of(bench, "linear", problem), problem.reference_ahead(0.1)
+    state, inputs = point_of(3)
     other = np.random.default_rng(9).uniform(0, 0.6, inputs.shape)
     here, there = (horizon.condense(state, u, reference) for u in (inputs, other))
     change = ((other - inputs) / problem.input_scale).ravel()

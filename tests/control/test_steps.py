@@ -53,7 +53,8 @@ def rms(outputs):
 
 @pytest.mark.parametrize("kind", [
     "SSMR on the chart", "SSMR, horizon 10, rate", "SSMR, late measurements", "SSMR, Kalman", "SSMR, extended Kalman",
-    "SSMR, rate, daqp", "SSMR, 20 circles, rate", "SSMR, 20 circles, daqp", "DMD", "DMD, Kalman", "EDMD",
+    "SSMR, rate, daqp", "SSMR, 20 circles, rate", "SSMR, 20 circles, daqp", "SSMR, actuator",
+    "SSMR, rubbing actuator, rate", "DMD", "DMD, Kalman", "EDMD",
     "static pregain"])
 def test_hostile_steps_raise_nothing_stay_in_bounds_end_in_time_and_leave_nothing_behind(hostile, kind):
     found = hostile.endure(hostile.KINDS[kind], 2000, seed=1)
@@ -277,7 +278,7 @@ def test_a_lambda_can_be_copied_and_says_that_it_cannot_be_pickled():
 @pytest.mark.parametrize("copied", COPIED.values(), ids=COPIED)
 @pytest.mark.parametrize("kind", [
     "SSMR on the chart", "SSMR, horizon 10, rate", "SSMR, extended Kalman", "SSMR, Kalman", "SSMR, 20 circles, rate",
-    "SSMR, 20 circles, daqp", "EDMD", "static pregain"])
+    "SSMR, 20 circles, daqp", "SSMR, actuator", "SSMR, rubbing actuator, rate", "EDMD", "static pregain"])
 def test_the_copy_of_a_controller_gives_the_same_commands_to_the_last_bit(hostile, bench, kind, copied):
     controller = hostile.KINDS[kind]()
     steered(bench, controller, 101)
