@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from ssmr_torch.control.disturbance_observer import DisturbanceObserver, stepper
+from ssmr_torch.control.disturbance_observer import DisturbanceObserver
+from ssmr_torch.control.stepping import Stepper
 from ssmr_torch.models.monomials import graded
 
 NOISE, LIMIT = 1e-5, 0.05
@@ -198,7 +199,7 @@ def test_after_a_reset_the_same_measurements_give_the_same_state_to_the_last_bit
 def test_the_steps_of_a_compiled_model_are_its_own(bench):
     for model in (bench.oscillators(), bench.oscillators(0, 1, 0)):
         z, u = 0.01 * np.arange(6.0), np.array([0.1, 0.2, 0.3, 0.0])
-        following, output = stepper(model)(z, u)
+        following, output = Stepper(model)(z, u)
         np.testing.assert_allclose(following, model.step(z, u), rtol=1e-12)
         np.testing.assert_allclose(output, model.decode(model.step(z, u)), rtol=1e-12)
 
