@@ -22,6 +22,7 @@ GAIN = 0.97          # of the error of commands that act as they are: what an ac
 STEPS = 20           # samples of the predictions that are judged
 MORE_STATES, WINDOW, FUTURE = 6, 4, 10
 ROWS = 5000
+ROUNDS = 10          # at most, in which delay and lag or friction move to a better neighbour
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +82,10 @@ def identify(recordings: Recordings, *, say: Callable[[str], None] = lambda line
         near = search.least(_near(start))
         if search.error(near) < GAIN * search.error(best):
             best = near
-    for _ in range(0 if best.trivial else 2):
-        best = search.least([best, *_near(best), *_other_frictions(best)])
+    for _ in range(0 if best.trivial else ROUNDS):
+        before, best = best, search.least([best, *_near(best), *_other_frictions(best)])
+        if best == before:
+            break
     limited = search.least([replace(best, rate=rate) for rate in RATES])
     if search.error(limited) < GAIN * search.error(best):
         best = limited
