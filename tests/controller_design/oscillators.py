@@ -38,22 +38,22 @@ class Oscillators:
     Its sensors see y, and dy/dt / ω as well: the state, so that nothing of a past input is hidden in it.
     cubic: c, 1/m²; without it the samples are exact.   of_inputs, of_sensor: deviations of the noises, of half the
     range and in m.   gain: (m,) of what acts.   hangs: (6,) m, by which all measurements are displaced.
-    scale: of the inputs and their bounds, as in another unit.   Other settings are those of the `Actuators`.
+    scale: of the inputs and their bounds, as in another unit.   pace: of ω.   damping: ζ.   Other settings are those of the `Actuators`.
     """
 
     timestep, name, input_unit = H, "oscillators", "N"
     output_names = ("x", "y", "z", "rate_x", "rate_y", "rate_z")
 
     def __init__(self, bounds=SIGNED, *, cubic=0.0, of_inputs=0.0, of_sensor=0.0, gain=1.0, hangs=0.0, scale=1.0,
-                 **actuators):
+                 pace=1.0, damping=DAMPING, **actuators):
         self.input_bounds, self.cubic, self.actuators, self.scale = scale * bounds, cubic, actuators, scale
         self.input_names = tuple(f"u{k + 1}" for k in range(bounds.shape[1]))
         self.of_inputs, self.of_sensor = of_inputs * 0.5 * np.ptp(bounds, axis=0), of_sensor
         self.gain, self.hangs = np.broadcast_to(gain, bounds.shape[1]), np.broadcast_to(hangs, 6)
         self.static = np.array(STATIC[bounds.shape[1]])
-        w = FREQUENCIES
+        w = pace * FREQUENCIES
         self.per = np.concatenate([np.ones(3), w])
-        A = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.diag(w**2), -2.0 * DAMPING * np.diag(w)]])
+        A = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.diag(w**2), -2.0 * damping * np.diag(w)]])
         step = expm(H * np.block([[A, np.vstack([np.zeros((3, 3)), np.diag(w**2)])], [np.zeros((3, 9))]]))
         self.A, self.force = step[:6, :6], step[:6, 6:]
         self.reset()
