@@ -12,6 +12,7 @@ from ssmr_torch.control.gate import InnovationGate
 from ssmr_torch.control.stepping import Stepper
 
 BEYOND = 1.2      # times the recorded range: a state there which mispredicts as well is lost
+FAR = 3.0         # times the recorded range: no state is there, whatever is measured
 STRANGE = 10      # samples that it must do so
 SETTLING = 10.0   # s that the model is given to come to rest
 
@@ -73,7 +74,8 @@ class DisturbanceObserver:
                 for _ in range(round(SETTLING / self.model.timestep)):
                     z, y = self._step(z, acting)
             if not self._inside(z):
-                z, y = start, self.model.decode(start)
+                z = np.clip(start, -self._range, self._range)
+                y = self.model.decode(z)
             self._rest = key, z, y
         return self._rest[1:]
 
@@ -93,12 +95,13 @@ class DisturbanceObserver:
         if self._gap and np.isfinite(observation).all():
             self._gap = False
             self._from_chart()
-        elif self._strange > STRANGE or not np.isfinite(self._z).all():
+        elif self._strange > STRANGE or not (np.abs(self._z) <= FAR * self._range).all():
             self.counts["restarted"] += self._from_chart()
 
     def _update(self, error: np.ndarray) -> None:
         if not self._gate.passes(float(error @ self._precision @ error) / len(error)):
             self.counts["gated"] += 1
+            self._strange = self._strange + 1 if not self._inside(self._z) else 0
             return
         n, correction = len(self._z), self._gain @ error
         self._z = self._z + correction[:n]
@@ -112,6 +115,7 @@ class DisturbanceObserver:
         known = bool(np.isfinite(z).all())
         if known:
             self._z, self._strange = np.clip(z, -self._range, self._range), 0
+            self._gate.reset()
         return known
 
     def state(self) -> tuple[np.ndarray, None, np.ndarray]:
