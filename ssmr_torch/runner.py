@@ -10,9 +10,7 @@ import argparse
 import json
 import logging
 import sys
-from collections.abc import Callable, Sequence
-from functools import partial
-from importlib import import_module
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -21,53 +19,13 @@ from ssmr_torch import artifact
 from ssmr_torch.defaults import keyword_defaults
 from ssmr_torch.extras import remedy
 from ssmr_torch.settings import non_negative
+from ssmr_torch.targets import build
 
 log = logging.getLogger(__name__)
 
-ROOMS = ("ssmr_torch.control.", "ssmr_torch.tasks.")
 REST_TOLERANCE = 1e-3  # m
 DEFAULT = {"controller": {"_target_": "ssmr_torch.control.mpc.ModelPredictiveController"},
            "task": {"_target_": "ssmr_torch.tasks.references.figure_eight", "tracked": ["tip_x", "tip_y"]}}
-
-
-def build(settings: dict, *arguments, packages: Sequence[str] = (), **more):
-    """Call what `_target_` names with its arguments and these.
-
-    packages: whose contents the settings may name beside control and tasks; a file must not decide which code runs.
-    Raises ValueError for a target or a solver elsewhere, for one that is not there, and for unknown arguments.
-    """
-    target = settings.get("_target_") if isinstance(settings, dict) else None
-    _refuse_elsewhere("_target_", target, packages)
-    solver = settings.get("qp")
-    if isinstance(solver, str) and ":" in solver and not solver.startswith("qpsolvers:"):
-        _refuse_elsewhere("qp", solver.replace(":", "."), packages)
-    module, _, name = target.rpartition(".")
-    try:
-        function = getattr(import_module(module), name)
-    except (ModuleNotFoundError, AttributeError) as error:
-        raise ValueError(f"cannot have {target}: {error}") from error
-    given = {key: _built(value, packages) for key, value in settings.items() if not key.startswith("_")}
-    try:
-        return function(*arguments, **given, **more)
-    except TypeError as error:
-        raise ValueError(f"{target} does not take {given}: {error}") from error
-
-
-def _refuse_elsewhere(what: str, target, packages: Sequence[str]) -> None:
-    rooms = (*ROOMS, *(f"{package}." for package in packages))
-    if not isinstance(target, str) or not target.startswith(rooms):
-        raise ValueError(f"the settings name {target!r} as {what}; expected something in {' or '.join(rooms)}, or in a "
-                         "package that --package names")
-
-
-def _built(value, packages: Sequence[str]):
-    """Settings within settings: an observer, which the controller itself completes, or obstacles."""
-    if isinstance(value, list):
-        return [_built(part, packages) for part in value]
-    if not (isinstance(value, dict) and "_target_" in value):
-        return value
-    made = partial(build, value, packages=packages)
-    return made if value.get("_partial_") else made()
 
 
 def controller_for(loaded: artifact.Artifact, make: Callable, rest_tolerance: float = REST_TOLERANCE) -> Callable:

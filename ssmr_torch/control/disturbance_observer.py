@@ -48,13 +48,14 @@ class DisturbanceObserver:
 
     model: NumPy tables at the timestep of the measurements.   gain: (n + p, p), [K_z; K_d].   covariance: (p, p) m², of
     the innovation.   limit: (p,) m.   lost: m.   watched: columns of y.   input_range is not needed.
-    `counts` holds what was gated, missing and restarted. Raises ValueError for sizes that do not fit the model.
+    `counts`: how often it "gated", and "observer restarted". Raises ValueError for sizes that do not fit the model.
     """
 
     def __init__(self, model, input_range=None, *, gain, covariance, limit, lost: float, watched=None):
         self.model = model
         n, p = model.state_dim, model.output_dim
-        self._gain, self._precision = np.array(gain, dtype=np.float64), np.linalg.inv(np.array(covariance, dtype=float))
+        self._gain = np.array(gain, dtype=np.float64, order="C")  # another order would round products otherwise
+        self._precision = np.linalg.inv(np.array(covariance, dtype=np.float64, order="C"))
         self._limit = np.array(np.broadcast_to(np.asarray(limit, dtype=np.float64), (p,)))
         if self._gain.shape != (n + p, p) or self._precision.shape != (p, p):
             raise ValueError(f"the gain has shape {self._gain.shape} and the covariance {self._precision.shape}; a "
@@ -67,6 +68,13 @@ class DisturbanceObserver:
         self._rests: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
         self._gate = InnovationGate()
         self.reset()
+
+    def __getstate__(self) -> dict:
+        return {name: value for name, value in self.__dict__.items() if name != "_step"}
+
+    def __setstate__(self, state: dict) -> None:
+        self.__dict__.update(state)
+        self._step = stepper(self.model)
 
     def reset(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -104,9 +112,7 @@ class DisturbanceObserver:
             return
         self._chart.measure(observation, last_input)
         self._z, predicted = self._step(self._z, last_input)
-        if not whole:
-            self.counts["missing"] += 1
-        else:
+        if whole:
             self._update(observation - predicted - self._d)
         if not np.isfinite(self._z).all():
             self._start_anew()
@@ -134,7 +140,7 @@ class DisturbanceObserver:
         if np.isfinite(z).all():
             self._z = np.clip(z, -self._range, self._range)
             self._strange = 0
-            self.counts["restarted"] += 1
+            self.counts["observer restarted"] += 1
 
     def state(self) -> tuple[np.ndarray, None, np.ndarray]:
         return self._z.copy(), None, self._d.copy()

@@ -5,13 +5,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
 from time import perf_counter
-from typing import NamedTuple
 
 import numpy as np
 
 from ssmr_torch.control.actuator import Actuator
-from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.control.designed import DesignedController
 from ssmr_torch.controller_design.controller import settings_of
 from ssmr_torch.controller_design.identification import Identification, identify
 from ssmr_torch.controller_design.model_choice import (
@@ -27,17 +28,26 @@ from ssmr_torch.controller_design.noises import Likelihood
 from ssmr_torch.controller_design.recordings import Recordings, recordings_of
 from ssmr_torch.controller_design.report import DesignReport
 from ssmr_torch.controller_design.weights import choose_weights
+from ssmr_torch.provenance import provenance
 from ssmr_torch.trained_model import TrainedModel
 from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 
 LOOPS = 240          # steps of the bar: designs whose margins are looked at, and loops against the twin
 
 
-class Designed(NamedTuple):
-    """controller: ready to run; report: what was found, and why, see `DesignReport`."""
+@dataclass(frozen=True, eq=False)
+class Designed:
+    """controller: ready to run; report: what was found, and why, see `DesignReport`. Unpacks into the two."""
 
-    controller: ModelPredictiveController
+    controller: DesignedController
     report: DesignReport
+
+    def __iter__(self):
+        return iter((self.controller, self.report))
+
+    def save(self, folder: str | Path) -> Path:
+        """Write the artifact with model and controller, see `DesignedController.save`."""
+        return self.controller.save(folder)
 
 
 def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator | None = None,
@@ -74,10 +84,22 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
         noises = likelihood.most_likely(say=say)
         search = choose_weights(chosen, found.actuator, acted, likelihood, noises, task=task, tell=tell, say=say)
     settings = settings_of(search.best.weights, search.best.observer, search.actuator, acted, likelihood)
-    controller = ModelPredictiveController(chosen.model, task, recordings.bounds, settings, timestep=data.timestep,
-                                           output_names=data.output_names)
     report = DesignReport(recordings, found, chosen, noises, search, likelihood, task.name, perf_counter() - began)
+    # in the order in which an artifact gives arrays back: products of another order are rounded otherwise
+    model = chosen.model.with_arrays(np.ascontiguousarray)
+    controller = DesignedController(model, task, recordings.bounds, settings, timestep=data.timestep,
+                                    output_names=data.output_names, facts=report.facts,
+                                    card=_card(data, model.kind))
     return Designed(controller, report)
+
+
+def _card(data: TrajectoryDataset, kind: str) -> dict:
+    """What an artifact's card says beside the model."""
+    outputs, inputs = data.extremes()
+    return {"name": kind, "output_names": list(data.output_names), "input_names": list(data.input_names),
+            "input_unit": data.input_unit, "rest": data.rest.tolist(), "input_range": inputs.tolist(),
+            "output_range": outputs.tolist(), "sampling_time": data.timestep,
+            "provenance": provenance() | {"data": data.provenance}}
 
 
 def _given(actuator: Actuator, recordings: Recordings) -> Identification:
