@@ -44,12 +44,14 @@ def main(config, directory):
     from ssmr_torch.closed_loop import simulate
     from ssmr_torch.evaluation.metrics import closed_loop_metrics
     from ssmr_torch.provenance import provenance
+    from ssmr_torch.runner import made_of
 
     loaded, task = artifact.load(config.artifact), instantiate(config.task)
     plant = bench(config, loaded)
     artifact.check_source(loaded, plant)
-    controller = instantiate(config.controller)(loaded.model, task, plant.input_bounds, timestep=plant.timestep,
-                                                output_names=plant.output_names, **margins(config, loaded, task))
+    make, source = instantiate(config.controller), made_of(loaded, config.controller._target_)
+    controller = make(source, task, plant.input_bounds, timestep=plant.timestep, output_names=plant.output_names,
+                      **margins(config, loaded, task))
     origin = provenance(OmegaConf.to_container(config, resolve=True)) | {"model": loaded.card["name"],
                                                                          "artifact": loaded.card["sha256"]}
     with instantiate(config.view)(task, plant, directory) if config.view else nullcontext() as watch:

@@ -14,7 +14,7 @@ def main(config, directory):
     from ssmr_torch import artifact
     from ssmr_torch.evaluation.metrics import closed_loop_metrics
     from ssmr_torch.provenance import provenance
-    from ssmr_torch.runner import controller_for, prepare
+    from ssmr_torch.runner import controller_for, made_of, prepare
     from ssmr_torch.wire.controller_end import ControllerEnd
     from ssmr_torch.wire.link import ControllerLink
     from ssmr_torch.wire.record import record_of
@@ -24,8 +24,8 @@ def main(config, directory):
     plain = OmegaConf.to_container(config, resolve=True)
     save_json(directory / "settings.json", {part: plain[part] for part in ("controller", "task")})
     origin = provenance(plain) | {"model": loaded.card["name"], "artifact": loaded.card["sha256"]}
-    make = instantiate(config.controller)
-    build = controller_for(loaded, lambda model, bounds, **more: make(model, task, bounds, **more),
+    make, source = instantiate(config.controller), made_of(loaded, config.controller._target_)
+    build = controller_for(loaded, lambda model, bounds, **more: make(source, task, bounds, **more),
                            config.rest_tolerance)
     end = ControllerEnd(build, duration=task.duration, deadline=config.deadline, timeout=config.timeout,
                         patience=config.patience, seed=config.seed)

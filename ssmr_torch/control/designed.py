@@ -112,6 +112,7 @@ def carried(controller: DesignedController) -> dict:
             "input_bounds": controller._designed_for.tolist(), "facts": written(controller.facts, "facts")}
 
 
+@configurable(given=("task", "input_bounds", "timestep", "output_names"))
 def designed_controller(loaded, task=None, input_bounds=None, *, timestep: float | None = None, output_names=None,
                         **changes) -> DesignedController:
     """The controller that an artifact carries; `controller=designed` of the commands.
@@ -122,18 +123,14 @@ def designed_controller(loaded, task=None, input_bounds=None, *, timestep: float
     Raises ValueError for an artifact without one, saying what to run, and where task, timestep or bounds do not fit,
     with both sides.
     """
-    designed = getattr(loaded, "designed", None)
-    if not designed:
-        raise ValueError(f"this {type(loaded).__name__} carries no designed controller; run ssmr design "
-                         "data.path=FILE.h5 task=TASK plant=PLANT, which writes an artifact with one, or choose "
-                         "controller=scp")
+    designed = _designed(loaded)
     card = {"input_unit": loaded.card["units"]["input"], **loaded.card} if "units" in loaded.card else loaded.card
     names = tuple(card["output_names"] if output_names is None else output_names)
     if timestep is not None and abs(timestep / designed["timestep"] - 1.0) > SAME:
         raise ValueError(f"the controller was designed for samples every {designed['timestep']:g} s; the robot's come "
                          f"every {timestep:g} s: sample the robot so, or design on recordings of its timestep")
     if task is None:
-        task = _own_task(designed)
+        task = own_task(loaded)
     _refuse_other_outputs(task, names, tuple(designed["tracked"]))
     controller = build({**designed["controller"], **changes}, loaded.reduced, task, designed["input_bounds"],
                        timestep=designed["timestep"], output_names=names, facts=designed["facts"], card=card)
@@ -142,7 +139,17 @@ def designed_controller(loaded, task=None, input_bounds=None, *, timestep: float
     return controller
 
 
-def _own_task(designed: Mapping):
+def _designed(loaded) -> Mapping:
+    designed = getattr(loaded, "designed", None)
+    if not designed:
+        raise ValueError("the artifact carries no designed controller; run ssmr design data.path=FILE.h5 task=TASK "
+                         "plant=PLANT, which writes one that does, or name another controller, such as controller=scp")
+    return designed
+
+
+def own_task(loaded):
+    """The task that the controller of an artifact was designed for. Raises ValueError where the file holds none."""
+    designed = _designed(loaded)
     if not designed.get("task"):
         raise ValueError(f"the controller was designed for a task whose path no file can hold; give a task that tracks "
                          f"{designed['tracked']}")
