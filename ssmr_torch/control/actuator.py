@@ -29,7 +29,8 @@ class Actuator(Settings):
     timestep: h, s.   input_range: (m,), highest minus lowest input.
     delay: samples; that of the sensors is in it.   lag: s, of the first order.   play: half of its width, of
     the input range.   friction: μθ, 1.   rate: input ranges per s; None: no limit.   ease: of
-    the play's width, within which the command crosses it in proportion: with less, noise would hammer.   gain: (m,) 1; None: one.   offset: (m,), of the input range; None: zero.
+    the play's width, within which the command crosses it in proportion: with less, noise would hammer.
+    gain: (m,) 1; None: one.   offset: (m,), of the input range; None: zero.
     Raises ValueError for numbers that make no sense.
     """
 

@@ -3,36 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 
 import numpy as np
 
 from ssmr_torch.control.base import whole_steps
 from ssmr_torch.control.estimation import ChartEstimator
 from ssmr_torch.control.gate import InnovationGate
-from ssmr_torch.lazy import found
+from ssmr_torch.control.stepping import Stepper
 
 BEYOND = 1.2      # times the recorded range: a state there which mispredicts as well is lost
 STRANGE = 10      # samples that it must do so
 SETTLING = 10.0   # s that the model is given to come to rest
-
-
-def stepper(model) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """(z (n,), u (m,)) → z⁺ and y⁺ = w(z⁺) of a model, by its compiled kernel where it has one."""
-    compiled = found(model.compiled)(model) if model.compiled else None
-    if compiled is None:
-        def plainly(z, u):
-            following = model.step(z, u)
-            return following, model.decode(following)
-
-        return plainly
-    tables, rollout, _ = compiled
-
-    def fast(z, u):
-        states, outputs = rollout(z, np.ascontiguousarray(u)[None], tables)
-        return states[1], outputs[0]
-
-    return fast
 
 
 class DisturbanceObserver:
@@ -62,7 +43,7 @@ class DisturbanceObserver:
                              f"model of {n} states and {p} outputs needs ({n + p}, {p}) and ({p}, {p})")
         self._lost, self._watched = float(lost), list(range(p) if watched is None else watched)
         self._range = np.where(np.isfinite(model.state_scale) & (model.state_scale > 0), model.state_scale, np.inf)
-        self._step = stepper(model)
+        self._step = Stepper(model)
         self._chart = ChartEstimator(model, whole_steps("the model's window_timestep", model.window_timestep,
                                                         model.timestep))
         self._rests: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}

@@ -11,7 +11,7 @@ import numpy as np
 
 from ssmr_torch.control.base import changed_bounds
 from ssmr_torch.control.condensing import clipped, tracking_cost
-from ssmr_torch.control.constraints import OutputConstraints
+from ssmr_torch.control.constraints import ConstraintsAhead, OutputConstraints
 from ssmr_torch.control.settings import PredictiveControlSettings
 
 # The solver sees violations in this unit, m.
@@ -26,8 +26,8 @@ class TrackingProblem:
         s.t. lower ≤ u_k ≤ upper,   |u_k − u_{k−1}| ≤ rate · period   with u_{−1} the input applied last,
 
     where v = u / range is the input in units of its range, so that no weight has the unit of an input. Where there are
-    `constraints`, their penalty of y_1 … y_N is added to the cost. ρ is the identity, or Huber's function where `huber`
-    is given: from an error of that size on the cost grows linearly, and what is out of reach is not forced.
+    `constraints`, their penalty of the path to y_N is added to the cost. ρ is the identity, or Huber's function where
+    `huber` is given: from an error of that size on the cost grows linearly, and what is out of reach is not forced.
 
     reference: time (K,) s → ŷ (K, p) m.   input_bounds: (2, m), lowest and highest input.
     output_weight, terminal_weight: diagonals of Q and Q_f, (p,) or one number, 1/m².
@@ -230,11 +230,11 @@ class TrackingProblem:
         return reference
 
     def cost(self, outputs: np.ndarray, inputs: np.ndarray, reference: np.ndarray,
-             times: np.ndarray | None = None, last_input: np.ndarray | None = None) -> float:
+             ahead: ConstraintsAhead | None = None, last_input: np.ndarray | None = None) -> float:
         """J of y_1 … y_N (N, p) and u_0 … u_{N−1} (N, m); not a finite number when the outputs are not.
 
-        times (N,) s: of the outputs; with constraints, which may move, they are needed. last_input (m,): u_{−1}; None:
-        the first input may be any.
+        ahead: the constraints from the present time and place on; where there are constraints, it is needed. last_input
+        (m,): u_{−1}; None: the first input may be any.
         """
         weight = self.stage_weight if self.huber is None else self.huber_weight(outputs, reference, cost=True)
         from_target = inputs if self.input_target is None else inputs - self.input_target
@@ -243,7 +243,7 @@ class TrackingProblem:
             first = inputs[:1] if last_input is None else last_input[None]
             changes = np.diff(inputs, axis=0, prepend=first) / self.input_scale
             cost += float((np.square(changes) @ self.move_weight).sum())
-        return cost if self.constraints is None else cost + self.constraints.penalty(times, outputs)
+        return cost if self.constraints is None else cost + ahead.penalty(outputs)
 
     def huber_weight(self, outputs: np.ndarray, reference: np.ndarray, *, cost: bool = False) -> np.ndarray:
         """(N, p): `stage_weight` times ρ'(‖e‖²) at the tracked errors e of outputs (N, p), m, with which the gradient

@@ -124,8 +124,8 @@ def _check(found: Recordings) -> None:
                          "change: record some minutes with dither (excitation=five_minutes), or by ssmr commission")
     seconds = sum(len(piece.input) for piece in found.held) * found.timestep
     if seconds < LEAST_HELD:
-        raise ValueError(f"{seconds:.3g} s of controlled runs could be held out; expected {LEAST_HELD:g} s or more, from "
-                         "which delay, noises and weights are judged: record two controlled runs or more, or mark one "
+        raise ValueError(f"{seconds:.3g} s of controlled runs could be held out; expected {LEAST_HELD:g} s or more, "
+                         "from which delay, noises and weights are judged: record two controlled runs or more, or mark one "
                          "split='validation'")
     inputs = np.concatenate([piece.input for piece in found.controlled])
     span = np.ptp(inputs, axis=0) / found.input_range
@@ -139,4 +139,4 @@ def _check(found: Recordings) -> None:
                if lowest[k] < found.bounds[0, k] - slack[k] or highest[k] > found.bounds[1, k] + slack[k]]
     if outside:
         raise ValueError(f"the recorded inputs {', '.join(outside)} go from {lowest.tolist()} to {highest.tolist()}, "
-                         f"outside of the bounds {found.bounds.tolist()}; give the bounds in the unit of the recordings")
+                         f"outside of the bounds {found.bounds.tolist()}; give bounds in the unit of the recordings")

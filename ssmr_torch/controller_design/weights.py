@@ -21,8 +21,9 @@ from ssmr_torch.tasks.references import Task
 OF_STATES, OF_DISTURBANCE, OF_SENSOR = (1.0, 0.1, 0.01), (0.3, 1.0, 3.0, 10.0), (1.0, 4.0)
 MOVES = (4.0, 40.0, 400.0, 4e3, 4e4, 4e5)
 TOLERANCE, HORIZON = 1e-3, 10
-OF_MOVE, MOST = 0.01, 40.0   # the input weight: of the move weight, so that free directions follow within ten samples, and at
-# most what biases tracking by 4e-5 of the reach per range of input
+# The input weight: this share of the move weight, so that directions which tracking leaves free settle within ten
+# samples, and at most what biases tracking by 4e-5 of the reach for an input that is off by its range.
+OF_MOVE, MOST = 0.01, 40.0
 POINTS = 4           # along the recordings, at which margins are asked for
 EXTRA_DELAY = 0.06   # s, that a loop must stand, but no more than `SHARE_OF_LOOP` of its own time
 SHARE_OF_LOOP = 3.0  # samples beyond the actuator's own delay and lag
@@ -70,8 +71,8 @@ class _Candidates:
 
     def __init__(self, model, actuator: Actuator, acted: Recordings, likelihood: Likelihood, noises: Noises):
         z, u = points_along(model, acted, POINTS)
-        self.points = [Point(model, actuator, z[k], u[k], likelihood.free, acted.reach, acted.input_range, acted.tracked)
-                       for k in range(POINTS)]
+        self.points = [Point(model, actuator, z[k], u[k], likelihood.free, acted.reach, acted.input_range,
+                             acted.tracked) for k in range(POINTS)]
         self.likelihood, self.noises = likelihood, noises
         self.truth = likelihood.observer(noises.times(disturbance=DRIFT))
         own = 1 + actuator.delay + actuator.lag / actuator.timestep
@@ -120,10 +121,12 @@ def choose_weights(chosen: ChosenModel, actuator: Actuator, acted: Recordings, l
     if not stable:
         raise ValueError(f"none of {len(designs)} observers and weights makes a stable loop with this model at "
                          f"{len(candidates.points)} points of the recordings; its held-out error is "
-                         f"{100 * chosen.error:.3g} % of the reach: record longer or more slowly, or take another model")
+                         f"{100 * chosen.error:.3g} % of the reach: record longer or more slowly, or take another "
+                         "model")
     safe = [each for each in stable if each.margins.shortfall(PEAK) < 1.0]
     say(f"designs: {len(stable)} of {len(designs)} stable, {len(safe)} with all margins "
-        f"({1e3 * candidates.extra * actuator.timestep:g} ms more delay, half and twice the gain, sensitivity {PEAK:g})")
+        f"({1e3 * candidates.extra * actuator.timestep:g} ms more delay, half and twice the gain, sensitivity "
+        f"{PEAK:g})")
     picked = [replace(each, predicted=candidates.predicted(each)) for each in
               (safe or sorted(stable, key=lambda each: each.margins.shortfall(PEAK))[:TRIES])]
     picked.sort(key=lambda each: each.predicted if safe else each.margins.shortfall(PEAK))
@@ -141,7 +144,8 @@ def choose_weights(chosen: ChosenModel, actuator: Actuator, acted: Recordings, l
     say(f"weights: move {best.weights.move:g}, observer × {best.factors}; predicted error "
         f"{100 * best.predicted:.3g} % of the reach; against the twin "
         + ", ".join(f"{name} {100 * error:.3g} %" for name, error in best.against_twin.items()))
-    return WeightSearch(best, actuator, len(designs), len(stable), len(safe), candidates.extra, judged, candidates.points)
+    return WeightSearch(best, actuator, len(designs), len(stable), len(safe), candidates.extra, judged,
+                        candidates.points)
 
 
 def _score(design: Design) -> float:

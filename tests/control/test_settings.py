@@ -31,6 +31,8 @@ TASK = figure_eight(laps=1.0)
     ({"safe_input": 0.0}, "safe_input is 0.0; expected a list of numbers, or None"),
     ({"safe_input": "none"}, "safe_input is none; expected a list of numbers, or None"),
     ({"output_bounds": [[0.0], [1.0, 2.0]]}, "output_bounds is .*; expected a list of numbers"),
+    ({"margin_quantile": 1.0}, "margin_quantile is 1.0; expected a share between 0 and 1"),
+    ({"margin_quantile": "most"}, "margin_quantile is 'most'"), ({"hard_constraints": 1}, "hard_constraints is 1"),
     ({"violation_weight": [1.0]}, "expected two numbers"), ({"observer": "kalman"}, "observer is 'kalman'"),
 ])
 def test_what_makes_no_sense_is_refused_with_what_was_given_and_what_was_expected(changes, said):
