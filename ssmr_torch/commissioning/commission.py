@@ -33,8 +33,8 @@ FEWEST = 20  # standard deviations of noise, that a circle's radius must have
 class CommissioningSettings(Settings):
     """Settings of `commission`.
 
-    model: what the controller is designed on, see `ssmr_torch.design`, such as auto or ssmr.   rest_duration: s of noise at rest.
-    slow_lap, fast_lap: s of a lap of the two circles.   laps: of each.   share_of_reach: radius of the circles.
+    model: what the controller is designed on, see `ssmr_torch.design`, such as auto or ssmr.
+    rest_duration: s of noise at rest.   slow_lap, fast_lap: s of a lap of the two circles.   laps: of each.   share_of_reach: radius of the circles.
     seed: of the excitation, and of whatever the robot draws.   figures: whether to draw; needs the extra plots.
     """
 

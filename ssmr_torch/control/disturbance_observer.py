@@ -50,13 +50,6 @@ class DisturbanceObserver:
         self._gate = InnovationGate()
         self.reset()
 
-    def __getstate__(self) -> dict:
-        return {name: value for name, value in self.__dict__.items() if name != "_step"}
-
-    def __setstate__(self, state: dict) -> None:
-        self.__dict__.update(state)
-        self._step = stepper(self.model)
-
     def reset(self) -> None:
         self.counts: Counter[str] = Counter()
         self.forget()
