@@ -34,8 +34,9 @@ class CommissioningSettings(Settings):
     """Settings of `commission`.
 
     model: what the controller is designed on, see `ssmr_torch.design`, such as auto or ssmr.
-    rest_duration: s of noise at rest.   slow_lap, fast_lap: s of a lap of the two circles.   laps: of each.   share_of_reach: radius of the circles.
-    seed: of the excitation, and of whatever the robot draws.   figures: whether to draw; needs the extra plots.
+    rest_duration: s of noise at rest.   slow_lap, fast_lap: s of a lap of the two circles.   laps: of each.
+    share_of_reach: radius of the circles.   seed: of the excitation, and of whatever the robot draws.
+    figures: whether to draw; needs the extra plots.
     """
 
     model: str = "auto"

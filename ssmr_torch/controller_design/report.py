@@ -102,7 +102,7 @@ class DesignReport(DataSheet):
         folder, pictures = Path(folder), []
         folder.mkdir(parents=True, exist_ok=True)
         if figures:
-            from ssmr_torch.controller_design.figures import draw
+            from ssmr_torch.evaluation.design_figures import draw
 
             pictures = draw(self, folder)
         text = "\n\n".join([f"# Design for {self.task}", "```\n" + repr(self) + "\n```", *self.sentences,
