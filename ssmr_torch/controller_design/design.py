@@ -85,7 +85,7 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
         likelihood = Likelihood(chosen.model, acted)
         noises = likelihood.most_likely(say=say)
         search = choose_weights(chosen, found.actuator, acted, likelihood, noises, task=task, tell=tell, say=say)
-    settings = settings_of(search.best.weights, search.best.observer, search.actuator, acted, likelihood)
+    settings = settings_of(search.best.weights, search.best.observer, found.actuator, acted, likelihood)
     report = DesignReport(recordings, found, chosen, noises, search, likelihood, task.name, perf_counter() - began)
     # in the order in which an artifact gives arrays back: products of another order are rounded otherwise
     model = chosen.model.with_arrays(np.ascontiguousarray)

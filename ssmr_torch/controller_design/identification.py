@@ -40,7 +40,7 @@ class Identification:
 
 
 class _Search:
-    """Errors of a linear or bilinear model of few coordinates, whose chart sees no past inputs: they would hide a lag."""
+    """Errors of a linear or bilinear model of few coordinates, whose chart sees no past inputs: these hide a lag."""
 
     def __init__(self, recordings: Recordings):
         self.scaled = Scaled(recordings, FUTURE, ROWS)

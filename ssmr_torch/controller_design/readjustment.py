@@ -136,8 +136,8 @@ def readjustment(controller, records, *, expected: float | None = None, fixed_fr
 
 
 def _judged(best: Actuator, begin: Actuator, before: float, after: float, expected: float | None) -> Readjustment:
-    numbers = (f"predictions missed the record by {100 * before:.3g} % of its reach, and miss it by {100 * after:.3g} % "
-               "now")
+    numbers = (f"predictions missed the record by {100 * before:.3g} % of its reach, and miss it by {100 * after:.3g} "
+               "% now")
     if best == begin:
         return Readjustment(begin, before, after, False, f"nothing explains the record better; {numbers}")
     if expected is not None and after > RETURNED * expected:

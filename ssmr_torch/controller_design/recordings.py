@@ -125,8 +125,8 @@ def _check(found: Recordings) -> None:
     seconds = sum(len(piece.input) for piece in found.held) * found.timestep
     if seconds < LEAST_HELD:
         raise ValueError(f"{seconds:.3g} s of controlled runs could be held out; expected {LEAST_HELD:g} s or more, "
-                         "from which delay, noises and weights are judged: record two controlled runs or more, or mark one "
-                         "split='validation'")
+                         "from which delay, noises and weights are judged: record two controlled runs or more, or mark "
+                         "one split='validation'")
     inputs = np.concatenate([piece.input for piece in found.controlled])
     span = np.ptp(inputs, axis=0) / found.input_range
     still = [name for name, share in zip(found.input_names, span) if share < CONSTANT]

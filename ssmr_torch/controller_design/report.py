@@ -41,7 +41,7 @@ class DesignReport(DataSheet):
         return {
             "tuned": f"designed from {recordings.minutes:.2g} min of recordings", "task": self.task,
             "reach": recordings.reach, "minutes": recordings.minutes,
-            "actuator": self.search.actuator.plain(), "actuator_error": _finite(found.error),
+            "actuator": self.identification.actuator.plain(), "actuator_error": _finite(found.error),
             "commands_error": _finite(found.plain), "model": self.model.words, "model_error": _finite(self.model.error),
             "twin": self.model.twin_words, "twin_error": _finite(self.model.twin_error),
             "noises": {"inputs": self.noises.inputs, "states": self.noises.states,
@@ -60,7 +60,7 @@ class DesignReport(DataSheet):
         """What was found, what was decided by it, and what the recordings could not tell."""
         best, found, search, reach = self.search.best, self.identification, self.search, self.recordings.reach
         mm = 1e3 * reach
-        lines = [f"The actuators: {in_words(search.actuator)}."]
+        lines = [f"The actuators: {in_words(found.actuator)}."]
         if np.isfinite(found.error):
             lines.append(f"With them a cheap model misses held-out runs by {100 * found.error:.3g} % of the reach, "
                          f"without by {100 * found.plain:.3g} %.")
@@ -88,7 +88,7 @@ class DesignReport(DataSheet):
                 for name, error in best.against_twin.items()}
         minutes = f"{self.recordings.minutes:.2g} min of recordings"
         return f"DesignReport for {self.task!r}: {self.seconds:.0f} s, {minutes}", {
-            "actuator": in_words(self.search.actuator), "model": self.model.words,
+            "actuator": in_words(self.identification.actuator), "model": self.model.words,
             "held-out error": f"{100 * self.model.error:.3g} % of the reach of {mm:.4g} mm",
             "noise of the sensors": f"{sheet.number(mm * self.noises.sensor)} mm",
             "designs": f"{self.search.stable} of {self.search.count} stable, {self.search.safe} with all margins",

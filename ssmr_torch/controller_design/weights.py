@@ -30,7 +30,6 @@ SHARE_OF_LOOP = 3.0  # samples beyond the actuator's own delay and lag
 PEAK = 2.0           # of the sensitivity
 TRIES = 10           # designs that are tried against the twin
 FAR = 1.25           # times the least error out of reach, that a design may make there
-EASES = (0.3, 2.0)   # of a play's width, beside the actuator's own, over which the command may cross it
 DRIFT = 3.0          # how much stronger the disturbance is taken to be in use than in the recordings
 
 
@@ -57,7 +56,6 @@ class WeightSearch:
     """
 
     best: Design
-    actuator: Actuator
     count: int
     stable: int
     safe: int
@@ -138,13 +136,10 @@ def choose_weights(chosen: ChosenModel, actuator: Actuator, acted: Recordings, l
     kept = [each for each in tried if each.against_twin and np.isfinite(list(each.against_twin.values())).any()]
     best = min(kept, key=_score) if kept else picked[0]
     judged = "twin" if kept else "margins"
-    if kept and actuator.rubs:
-        eased = [(replace(actuator, ease=ease), trial.disturbed(best, replace(actuator, ease=ease))) for ease in EASES]
-        actuator, best = min([(actuator, best), *eased], key=lambda each: _score(each[1]))
     say(f"weights: move {best.weights.move:g}, observer × {best.factors}; predicted error "
         f"{100 * best.predicted:.3g} % of the reach; against the twin "
         + ", ".join(f"{name} {100 * error:.3g} %" for name, error in best.against_twin.items()))
-    return WeightSearch(best, actuator, len(designs), len(stable), len(safe), candidates.extra, judged,
+    return WeightSearch(best, len(designs), len(stable), len(safe), candidates.extra, judged,
                         candidates.points)
 
 
@@ -163,8 +158,8 @@ class _Trial:
         self.motion = recorded_motion(acted, task.tracked)
         self.far = recorded_motion(acted, task.tracked, scale=WIDER)
 
-    def error(self, design: Design, path: Task, case: Case, lost: float, actuator: Actuator | None = None) -> float:
-        acted, actuator = self.acted, actuator or self.actuator
+    def error(self, design: Design, path: Task, case: Case, lost: float) -> float:
+        acted, actuator = self.acted, self.actuator
         controller = ModelPredictiveController(
             self.chosen.model, path, acted.bounds, timestep=acted.timestep, output_names=acted.output_names,
             settings=settings_of(design.weights, design.observer, actuator, acted, self.likelihood))
@@ -173,9 +168,9 @@ class _Trial:
         self.tell(1)
         return found
 
-    def disturbed(self, design: Design, actuator: Actuator | None = None) -> Design:
+    def disturbed(self, design: Design) -> Design:
         """The design with its errors against the disturbed twin."""
-        return replace(design, against_twin={case.name: self.error(design, self.motion, case, LOST, actuator)
+        return replace(design, against_twin={case.name: self.error(design, self.motion, case, LOST)
                                              for case in CASES})
 
     def all(self, designs: list[Design]) -> list[Design]:
