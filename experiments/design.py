@@ -3,6 +3,7 @@
 ssmr design data.path=FILE.h5 task=circle plant=tendon_chain; bounds='[[0,0],[1,1]]' in place of a plant
 """
 
+from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
@@ -11,14 +12,20 @@ from ssmr_torch.experiments.entry import entry_point, save_result
 
 @entry_point("design")
 def main(config, directory):
-    if (config.bounds is None) == (config.plant is None):
+    plant = config.get("plant")
+    if (config.bounds is None) == (plant is None):
         raise ValueError("give either plant=NAME, whose bounds hold, or bounds=[[lowest, …],[highest, …]], one number "
                          "for each input, in the unit of the recordings")
+    own = [each for each in HydraConfig.get().overrides.task if each.startswith(("model.", "fit"))]
+    if own:
+        raise ValueError(f"{own[0]} is given, and a kind of model is fitted by its defaults here; fit it by ssmr.fit and "
+                         "give what it returns to ssmr.design")
     from ssmr_torch.controller_design.design import design
 
-    bounds = OmegaConf.to_container(config.bounds) if config.plant is None else instantiate(config.plant).input_bounds
+    kind = HydraConfig.get().runtime.choices.model
+    bounds = OmegaConf.to_container(config.bounds) if plant is None else instantiate(plant).input_bounds
     data, task = instantiate(config.data).observing(config.outputs), instantiate(config.task)
-    designed = design(config.model, data, task, bounds, progress=config.progress)
+    designed = design(kind, data, task, bounds, progress=config.progress)
     report, path = designed.report, designed.save(config.artifact)
     report.save(directory, figures=config.figures)
     print("\n".join([str(report), *report.sentences, f"{directory / 'design.md'}", f"{path}"]))

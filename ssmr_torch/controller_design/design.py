@@ -88,17 +88,24 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
     settings = settings_of(search.best.weights, search.best.observer, found.actuator, acted, likelihood)
     report = DesignReport(recordings, found, chosen, noises, search, likelihood, task.name, perf_counter() - began)
     # in the order in which an artifact gives arrays back: products of another order are rounded otherwise
-    model = chosen.model.with_arrays(np.ascontiguousarray)
-    controller = DesignedController(model, task, recordings.bounds, settings, timestep=data.timestep,
+    ordered = chosen.model.with_arrays(np.ascontiguousarray)
+    controller = DesignedController(ordered, task, recordings.bounds, settings, timestep=data.timestep,
                                     output_names=data.output_names, facts=report.facts,
-                                    card=_card(data, model.kind))
+                                    card=_card(data, _name(model)))
     return Designed(controller, report)
 
 
-def _card(data: TrajectoryDataset, kind: str) -> dict:
+def _name(model) -> str:
+    """Under which the artifact's model is known."""
+    if model in SEARCHED if isinstance(model, str | None) else False:
+        return "predictive"
+    return model.upper() if isinstance(model, str) else model.name
+
+
+def _card(data: TrajectoryDataset, name: str) -> dict:
     """What an artifact's card says beside the model."""
     outputs, inputs = data.extremes()
-    return {"name": kind, "output_names": list(data.output_names), "input_names": list(data.input_names),
+    return {"name": name, "output_names": list(data.output_names), "input_names": list(data.input_names),
             "input_unit": data.input_unit, "rest": data.rest.tolist(), "input_range": inputs.tolist(),
             "output_range": outputs.tolist(), "sampling_time": data.timestep,
             "provenance": provenance() | {"data": data.provenance}}
