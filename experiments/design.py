@@ -18,8 +18,8 @@ def main(config, directory):
                          "for each input, in the unit of the recordings")
     own = [each for each in HydraConfig.get().overrides.task if each.startswith(("model.", "fit"))]
     if own:
-        raise ValueError(f"{own[0]} is given, and a kind of model is fitted by its defaults here; fit it by ssmr.fit and "
-                         "give what it returns to ssmr.design")
+        raise ValueError(f"{own[0]} is given, and a kind of model is fitted by its defaults here; fit it by ssmr.fit "
+                         "and give what it returns to ssmr.design")
     from ssmr_torch.controller_design.design import design
 
     kind = HydraConfig.get().runtime.choices.model

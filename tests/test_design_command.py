@@ -52,7 +52,8 @@ def test_options_of_a_model_are_refused_as_kinds_are_fitted_by_their_defaults(re
         run(monkeypatch, tmp_path, "plant=slow_manifold", "model=ssmr", "model.state_dim=4")
 
 
-@pytest.mark.parametrize("given", [["plant=slow_manifold"], ["bounds=[[0,0,0,0],[1.5,1.5,1.5,1.5]]"]], ids=["plant", "bounds"])
+@pytest.mark.parametrize("given", [["plant=slow_manifold"], ["bounds=[[0,0,0,0],[1.5,1.5,1.5,1.5]]"]],
+                         ids=["plant", "bounds"])
 def test_the_design_is_asked_with_data_task_and_bounds_and_all_is_written(recorded, by_hand, monkeypatch, tmp_path,
                                                                         capsys, given):
     asked = []

@@ -99,7 +99,8 @@ class ModelPredictiveController(DataSheet):
             "measurements": f"every {sheet.period(self.timestep)}, "
                             + (f"{settings.measurement_delay:g} s late" if self._age else "without delay"),
             "inputs: bounds" + rate: sheet.spans(inputs, lower, upper, ""),
-            "weights": f"outputs {settings.output_weight:g} 1/m², inputs {settings.input_weight}",
+            "weights": f"outputs {settings.output_weight:g} 1/m²; of the range: inputs {settings.input_weight}, moves "
+                       f"{settings.move_weight}",
             "programs": f"{settings.iterations} per step, {settings.first_iterations} after a start",
             "state from": type(self.estimator).__name__,
             "fallbacks": sum(self.fallbacks.values()),

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ssmr_torch.control.actuator import Actuator
-from ssmr_torch.control.disturbance_observer import BEYOND, SETTLING, STRANGE, DisturbanceObserver
+from ssmr_torch.control.disturbance_observer import BEYOND, FAR, SETTLING, STRANGE, DisturbanceObserver
 from ssmr_torch.control.gate import AT_FIRST, MEMORY, MOST_IN_A_ROW, SIGMAS
 from ssmr_torch.deployment.c_controller_text import ACTUATORS, HEADER, OBSERVER
 from ssmr_torch.deployment.c_text import comment, identifier, table
@@ -76,11 +76,11 @@ def _tables(observer: DisturbanceObserver, actuator: Actuator) -> str:
     reach = np.where(np.isfinite(observer._range), observer._range, np.finfo(np.float64).max)
     stride = np.zeros(len(actuator.input_range)) if actuator.rate is None else actuator.stride
     with np.errstate(over="ignore"):
-        beyond = np.minimum(BEYOND * reach, np.finfo(np.float64).max)
+        beyond, far = (np.minimum(factor * reach, np.finfo(np.float64).max) for factor in (BEYOND, FAR))
     return "".join([
         table("gain", observer._gain, "[K_z; K_d]"), table("precision", observer._precision, "of the innovation"),
         table("limit", observer._limit, "of the disturbance, m"), table("range", reach, "of the states"),
-        table("beyond", beyond, "which a state is outside"),
+        table("beyond", beyond, "which a state is outside"), table("far", far, "where none is"),
         table("watched", np.array(observer._watched, dtype=np.int64), "outputs that must not be mispredicted"),
         table("half", actuator._half, "of the play"), table("stride", stride, "the largest change per sample"),
         table("factor", actuator.factor, "gains"), table("shift", actuator.shift, "offsets")])

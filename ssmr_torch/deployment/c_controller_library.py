@@ -22,7 +22,7 @@ class CompiledController:
 
         class Observer(ctypes.Structure):
             _fields_ = [("z", ctypes.c_double * n), ("d", ctypes.c_double * p), ("scale", ctypes.c_double),
-                        ("shut", ctypes.c_int), ("strange", ctypes.c_int), ("begun", ctypes.c_int)]
+                        *((name, ctypes.c_int) for name in ("shut", "strange", "begun", "unloaded", "gap"))]
 
         class Actuators(ctypes.Structure):
             _fields_ = [(name, ctypes.c_double * m) for name in ("transmitted", "limited", "lagged")] + [
@@ -36,6 +36,10 @@ class CompiledController:
         """z (n,), d (p,), and what the function returned."""
         said = self._call("observe")(ctypes.byref(self.observer), *map(_pointer, (y, acting)))
         return np.array(self.observer.z), np.array(self.observer.d), said
+
+    def forget(self) -> None:
+        """There was a gap in time."""
+        self._call("observe_forget")(ctypes.byref(self.observer))
 
     def restart(self, z: np.ndarray) -> None:
         """The state (n,) from a chart."""

@@ -6,6 +6,7 @@ HEADER = """\
    At every sample, with the newest outputs y, m from rest, and what acted since the sample before:
 
        NAME_observe(&observer, y, acting);          state observer.z, disturbance observer.d of the outputs, m
+       ...where it returns NAME_LOST, NAME_observe_restart with what NAME_encode makes of your window of y - d...
        ...the plan of a program of your own, from NAME_horizon, gives the command...
        NAME_actuator(&actuators, command, acting);  what acts until the next sample
 
@@ -24,7 +25,7 @@ extern "C" {{
 /* z (n), d (p); the rest is the observer's own. */
 typedef struct {{
     double z[{n}], d[{p}], scale;
-    int shut, strange, begun;
+    int shut, strange, begun, unloaded, gap;
 }} NAME_observer;
 
 /* What the last command transmits, of each input, and what is under way. */
@@ -39,11 +40,15 @@ enum {{ NAME_UPDATED = 0, NAME_MISSING = 1, NAME_GATED = 2, NAME_LOST = 3 }};
 /* Before the first sample, and to begin anew. */
 void NAME_observe_reset(NAME_observer *observer);
 
+/* After a gap in time: the disturbance stays, the state comes from the next window. */
+void NAME_observe_forget(NAME_observer *observer);
+
 /* One sample: y (p), not finite where it is missing; acting (m), what acted since the last one. NAME_LOST: the state is
-   outside what was recorded and mispredicts; give NAME_observe_restart what NAME_encode makes of your newest window. */
+   outside what was recorded and mispredicts, or there was a gap in time; give NAME_observe_restart what NAME_encode
+   makes of your newest window, whose outputs are y - d with the d after each sample. */
 int NAME_observe(NAME_observer *observer, const double *y, const double *acting);
 
-/* The state from a chart, z (n), held within the recorded range; d stays. */
+/* The state from a chart, z (n), held within the recorded range; d stays. One that is not finite changes nothing. */
 void NAME_observe_restart(NAME_observer *observer, const double *z);
 
 /* As after this command (m) for ever; acting (m) is what then acts. */
@@ -65,11 +70,11 @@ static double within(double value, double most)
     return value < -most ? -most : value > most ? most : value;
 }
 
-static int inside(const double *z)
+static int inside(const double *z, const double *most)
 {
     int i;
     for (i = 0; i < N; i++)
-        if (!(fabs(z[i]) <= beyond[i]))
+        if (!(fabs(z[i]) <= most[i]))
             return 0;
     return 1;
 }
@@ -99,22 +104,34 @@ void NAME_observe_reset(NAME_observer *observer)
         observer->z[i] = 0.0;
     for (i = 0; i < P; i++)
         observer->d[i] = 0.0;
+    observer->begun = 0;
+    observer->unloaded = 1;
+    NAME_observe_forget(observer);
+}
+
+void NAME_observe_forget(NAME_observer *observer)
+{
     observer->scale = AT_FIRST;
-    observer->shut = observer->strange = observer->begun = 0;
+    observer->shut = observer->strange = 0;
+    observer->gap = observer->begun;
 }
 
 void NAME_observe_restart(NAME_observer *observer, const double *z)
 {
     int i;
     for (i = 0; i < N; i++)
+        if (!isfinite(z[i]))
+            return;
+    for (i = 0; i < N; i++)
         observer->z[i] = within(z[i], range[i]);
-    observer->strange = 0;
+    observer->scale = AT_FIRST;
+    observer->shut = observer->strange = 0;
 }
 
-/* Where the model comes to rest under what acts; what it does not explain of y belongs to the disturbance. */
-static void begin(NAME_observer *observer, const double *y, const double *acting)
+/* Where the model comes to rest under what acts. */
+static void begin(NAME_observer *observer, const double *acting)
 {
-    double window[(D + 1) * P], inputs[(D + 1) * M], start[N], output[P];
+    double window[(D + 1) * P], inputs[(D + 1) * M], start[N];
     int i, k;
     for (i = 0; i < (D + 1) * P; i++)
         window[i] = 0.0;
@@ -126,17 +143,14 @@ static void begin(NAME_observer *observer, const double *y, const double *acting
         observer->z[i] = start[i];
     for (k = 0; k < SETTLING; k++)
         NAME_step(observer->z, acting, observer->z);
-    if (!inside(observer->z))
+    if (!inside(observer->z, beyond))
         for (i = 0; i < N; i++)
-            observer->z[i] = start[i];
-    NAME_decode(observer->z, output);
-    for (i = 0; i < P; i++)
-        observer->d[i] = within((isfinite(y[i]) ? y[i] : 0.0) - output[i], limit[i]);
+            observer->z[i] = within(start[i], range[i]);
     observer->begun = 1;
 }
 
-/* z and d after the innovation e; whether they are lost. */
-static int correct(NAME_observer *observer, const double *e)
+/* z and d after the innovation e. */
+static void correct(NAME_observer *observer, const double *e)
 {
     int i, j, mispredicts = 0;
     for (i = 0; i < N + P; i++) {
@@ -150,38 +164,52 @@ static int correct(NAME_observer *observer, const double *e)
     }
     for (i = 0; i < WATCHED; i++)
         mispredicts = mispredicts || fabs(e[watched[i]]) > LOST;
-    observer->strange = mispredicts && !inside(observer->z) ? observer->strange + 1 : 0;
-    return observer->strange > STRANGE;
+    observer->strange = mispredicts && !inside(observer->z, beyond) ? observer->strange + 1 : 0;
+}
+
+/* z and d after the outputs were `output` and not y; what NAME_observe returns of it. */
+static int update(NAME_observer *observer, const double *y, const double *output)
+{
+    double e[P], distance = 0.0;
+    int i, j;
+    for (i = 0; i < P; i++)
+        e[i] = y[i] - output[i] - observer->d[i];
+    for (i = 0; i < P; i++)
+        for (j = 0; j < P; j++)
+            distance += e[i] * precision[i * P + j] * e[j];
+    if (passes(observer, distance / P)) {
+        correct(observer, e);
+        return NAME_UPDATED;
+    }
+    observer->strange = inside(observer->z, beyond) ? 0 : observer->strange + 1;
+    return NAME_GATED;
 }
 
 int NAME_observe(NAME_observer *observer, const double *y, const double *acting)
 {
-    double output[P], e[P], distance = 0.0;
-    int i, j, whole = 1, lost = 0, said = NAME_UPDATED;
+    double output[P];
+    int i, whole = 1, said = NAME_UPDATED;
     for (i = 0; i < P; i++)
         whole = whole && isfinite(y[i]);
-    if (!observer->begun) {
-        begin(observer, y, acting);
-        return whole ? NAME_UPDATED : NAME_MISSING;
-    }
-    NAME_step(observer->z, acting, observer->z);
+    if (observer->begun)
+        NAME_step(observer->z, acting, observer->z);
+    else
+        begin(observer, acting);
+    NAME_decode(observer->z, output);
     if (!whole) {
         said = NAME_MISSING;
-    } else {
-        NAME_decode(observer->z, output);
+    } else if (observer->unloaded) {
         for (i = 0; i < P; i++)
-            e[i] = y[i] - output[i] - observer->d[i];
-        for (i = 0; i < P; i++)
-            for (j = 0; j < P; j++)
-                distance += e[i] * precision[i * P + j] * e[j];
-        if (passes(observer, distance / P))
-            lost = correct(observer, e);
-        else
-            said = NAME_GATED;
+            observer->d[i] = within(y[i] - output[i], limit[i]);
+        observer->unloaded = 0;
+    } else if (!observer->gap) {
+        said = update(observer, y, output);
     }
-    for (i = 0; i < N; i++)
-        lost = lost || !isfinite(observer->z[i]);
-    return lost ? NAME_LOST : said;
+    if (observer->gap && whole) {
+        observer->gap = 0;
+        return NAME_LOST;
+    }
+    return observer->strange > STRANGE || !inside(observer->z, far) ? NAME_LOST : said;
 }
 
 """

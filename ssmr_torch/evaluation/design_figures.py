@@ -37,7 +37,7 @@ def _actuator(report) -> Figure | None:
     _profile(axes[0], [1e3 * h * delay for delay in found.by_delay], found.by_delay.values(),
              1e3 * h * found.actuator.delay, "delay (ms)")
     _profile(axes[1], [1e3 * lag for lag in found.by_lag], found.by_lag.values(), 1e3 * found.actuator.lag, "lag (ms)")
-    for name, label, factor in (("play", "play (% of range, half)", 100.0), ("friction", "cable friction μθ (%)", 100.0)):
+    for name, label, factor in (("play", "play (half, % of range)", 100.0), ("friction", "cable friction (μθ, %)", 100.0)):
         values = {value: error for (kind, value), error in found.by_friction.items() if kind == name}
         if values:
             axes[2].plot([factor * value for value in values], [100 * error for error in values.values()], "o-",
@@ -90,7 +90,7 @@ def _innovations(report) -> Figure:
 
 @styled
 def _sensitivity(report) -> Figure:
-    """Largest singular value of the sensitivity of the tracked outputs over frequency, at every point of the margins."""
+    """Largest singular value of the tracked outputs' sensitivity over frequency, at every point of the margins."""
     best, h = report.search.best, report.recordings.timestep
     frequencies = np.geomspace(0.01, 0.98 * np.pi, FREQUENCIES)
     figure, axis = panels(0.5 * WIDTH, 2.4)

@@ -28,7 +28,7 @@ def constraints_with(obstacles=(), **options):
 def problem_of(bench, constraints, **changes):
     settings = {"reference": lambda time: np.tile([0.012, 0.0, 0, 0, 0, 0], (len(time), 1)),
                 "input_bounds": bench.BOUNDS, "output_weight": 1e8 * np.array([1, 1, 0, 0, 0, 0]),
-                "input_weight": 10.0, "horizon": N, "constraints": constraints}
+                "input_weight": 3.6, "horizon": N, "constraints": constraints}
     return TrackingProblem(**settings | changes)
 
 
@@ -180,11 +180,12 @@ def test_the_robot_goes_around_obstacles_that_stand_and_that_move(bench, qp):
     moving = Circle(drifting((0.02, -0.02), (-0.01, 0.01)), 0.004)
     obstacles = (*random_circles(1), moving, HalfPlane((0.0, 1.0), 0.012))
     task = replace(figure_eight(laps=1.0), obstacles=obstacles)
-    plant = bench.ModelPlant(bench.oscillators())
-    controller = ModelPredictiveController(plant.model, task, bench.BOUNDS, horizon=5, qp=qp)
+    plant, weight = bench.ModelPlant(bench.oscillators()), 36.0
+    controller = ModelPredictiveController(plant.model, task, bench.BOUNDS, horizon=5, input_weight=weight, qp=qp)
     record = simulate(plant, controller, task)
     clearance = np.stack([o.clearance(record.time, record.observation[:, :2]) for o in obstacles])
-    blind = simulate(plant, ModelPredictiveController(plant.model, replace(task, obstacles=()), bench.BOUNDS), task)
+    blind = simulate(plant, ModelPredictiveController(plant.model, replace(task, obstacles=()), bench.BOUNDS,
+                                                      input_weight=weight), task)
     without = np.stack([o.clearance(blind.time, blind.observation[:, :2]) for o in obstacles])
     assert without.min() < -3e-3 and clearance.min() > -3e-4
     assert not controller.fallbacks

@@ -43,7 +43,7 @@ def test_observer_and_actuators_are_the_packages_to_1e_12(built, changes):
     assert max(differences(compiled, written, steps=400)) <= 1e-12
 
 
-def test_it_follows_the_gate_missing_samples_and_a_restart(built):
+def test_it_follows_the_gate_missing_samples_a_gap_in_time_and_restarts(built):
     compiled, written, _ = built()
     observer, rng, statuses = written.observer, np.random.default_rng(3), []
     observer.reset()
@@ -52,6 +52,8 @@ def test_it_follows_the_gate_missing_samples_and_a_restart(built):
         y = 1e-3 * np.sin(0.1 * k + np.arange(6)) + 1e-5 * rng.standard_normal(6)
         y += (0.5 if k % 40 == 20 else 0.0) + (1.0 if k > 100 else 0.0)  # outliers; then absolute positions for ever
         y[:] = np.nan if k % 30 == 10 else y
+        if k == 50:
+            observer.forget(), compiled.forget()
         observer.measure(y, v)
         z, d, said = compiled.observe(y, v)
         if said == 3:
@@ -61,7 +63,7 @@ def test_it_follows_the_gate_missing_samples_and_a_restart(built):
         theirs, _, disturbance = observer.state()
         np.testing.assert_allclose(z, theirs, rtol=0, atol=1e-12 * max(1.0, np.abs(theirs).max()))
         np.testing.assert_allclose(d, disturbance, rtol=0, atol=1e-12)
-    assert set(statuses) == {0, 1, 2, 3} and statuses[60] == 2
+    assert (statuses[10], statuses[20], statuses[50]) == (1, 2, 3) and statuses[100:].count(3) > 0
 
 
 def test_a_first_sample_that_is_missing_begins_at_rest(built):

@@ -48,7 +48,7 @@ def test_a_robot_that_a_pocket_holds_arrives_when_its_reference_is_led_round(ben
     task, ends = across(POCKET), []
     for given in (task, detour(task, 0.0005)):
         plant = bench.ModelPlant(bench.oscillators(), np.array([[0.0] * 4, [1.2] * 4]))
-        controller = ModelPredictiveController(plant.model, given, plant.input_bounds, input_weight=1000.0)
+        controller = ModelPredictiveController(plant.model, given, plant.input_bounds, input_weight=1440.0)
         record = simulate(plant, controller, task)
         ends.append(np.linalg.norm(record.error[-1]))
         assert min(c.clearance(record.time, record.observation[:, :2]).min() for c in POCKET) > -3e-4
