@@ -148,6 +148,7 @@ def _class_of(model: Model) -> str:
 
 
 def save_tables(path: Path, model: Model, **noted) -> None:
+    """The arrays in one file, whose metadata hold class and plain values of the model, and what else is noted."""
     # one key: safetensors writes several in any order, and the same model would have another hash each time
     noted = {"class": _class_of(model), "plain": model.plain(), **noted}
     save_file({name: np.ascontiguousarray(array) for name, array in model.arrays.items()}, path,
@@ -186,6 +187,8 @@ def _needed(path: Path, what: str):
 
 
 def load_tables(path: Path) -> tuple[Model, dict]:
+    """The model of a file of `save_tables`, and all that is noted in it. Raises ValueError for another or damaged file.
+    """
     arrays, noted = _stored(path)
     if not isinstance(noted, dict) or not {"class", "plain"} <= noted.keys():
         raise ValueError(f"{path} does not say which model its tables belong to; export the model again")
