@@ -153,7 +153,7 @@ def test_a_state_beyond_the_recorded_range_that_mispredicts_starts_anew_from_the
     observer.measure(y, np.zeros(4))
     samples = 0  # it takes ten, and the gate is shut at first
     while not observer.counts["restarted"] and samples < 40:
-        observer._z = 5.0 * model.state_scale
+        observer._z = 2.0 * model.state_scale
         observer.measure(y, np.zeros(4))
         samples += 1
     assert samples > 10 and observer.counts["restarted"] == 1
