@@ -31,13 +31,14 @@ class DisturbanceObserver:
 
     model: NumPy tables at the timestep of the measurements.   gain: (n + p, p), [K_z; K_d].   covariance: (p, p) m², of
     the innovation.   limit: (p,) m.   lost: m.   watched: columns of y.   input_range is not needed.
-    `counts` holds what was gated, missing and restarted. Raises ValueError for sizes that do not fit the model.
+    `counts`: how often it "gated", and "observer restarted". Raises ValueError for sizes that do not fit the model.
     """
 
     def __init__(self, model, input_range=None, *, gain, covariance, limit, lost: float, watched=None):
         self.model = model
         n, p = model.state_dim, model.output_dim
-        self._gain, self._precision = np.array(gain, dtype=np.float64), np.linalg.inv(np.array(covariance, dtype=float))
+        self._gain = np.array(gain, dtype=np.float64, order="C")  # another order would round products otherwise
+        self._precision = np.linalg.inv(np.array(covariance, dtype=np.float64, order="C"))
         self._limit = np.array(np.broadcast_to(np.asarray(limit, dtype=np.float64), (p,)))
         if self._gain.shape != (n + p, p) or self._precision.shape != (p, p):
             raise ValueError(f"the gain has shape {self._gain.shape} and the covariance {self._precision.shape}; a "
@@ -85,18 +86,17 @@ class DisturbanceObserver:
     def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
         z, predicted = self._step(self._z, last_input) if self._begun else self.rest(last_input)
         self._z, self._begun = z.copy(), True
-        if not np.isfinite(observation).all():
-            self.counts["missing"] += 1
-        elif self._unloaded:
+        whole = bool(np.isfinite(observation).all())
+        if whole and self._unloaded:
             self._d, self._unloaded = np.clip(observation - predicted, -self._limit, self._limit), False
-        elif not self._gap:
+        elif whole and not self._gap:
             self._update(observation - predicted - self._d)
         self._chart.measure(observation - self._d, last_input)
-        if self._gap and np.isfinite(observation).all():
+        if self._gap and whole:
             self._gap = False
             self._from_chart()
         elif self._strange > STRANGE or not (np.abs(self._z) <= FAR * self._range).all():
-            self.counts["restarted"] += self._from_chart()
+            self.counts["observer restarted"] += self._from_chart()
 
     def _update(self, error: np.ndarray) -> None:
         if not self._gate.passes(float(error @ self._precision @ error) / len(error)):

@@ -5,14 +5,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from time import perf_counter
-from typing import NamedTuple
 
 import numpy as np
 
 from ssmr_torch.control.actuator import Actuator
-from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.control.designed import DesignedController
 from ssmr_torch.control.tightening import tightened
 from ssmr_torch.controller_design.controller import settings_of
 from ssmr_torch.controller_design.identification import Identification, identify
@@ -30,6 +30,7 @@ from ssmr_torch.controller_design.noises import Likelihood
 from ssmr_torch.controller_design.recordings import Recordings, held_out, recordings_of
 from ssmr_torch.controller_design.report import DesignReport
 from ssmr_torch.controller_design.weights import choose_weights
+from ssmr_torch.provenance import provenance
 from ssmr_torch.trained_model import TrainedModel
 from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 
@@ -38,11 +39,19 @@ DISBELIEF = 1.2      # times the error without an actuator: one with which the b
 LOOPS = 240          # steps of the bar: designs whose margins are looked at, and loops against the twin
 
 
-class Designed(NamedTuple):
-    """controller: ready to run; report: what was found, and why, see `DesignReport`."""
+@dataclass(frozen=True, eq=False)
+class Designed:
+    """controller: ready to run; report: what was found, and why, see `DesignReport`. Unpacks into the two."""
 
-    controller: ModelPredictiveController
+    controller: DesignedController
     report: DesignReport
+
+    def __iter__(self):
+        return iter((self.controller, self.report))
+
+    def save(self, folder: str | Path) -> Path:
+        """Write the artifact with model and controller, see `DesignedController.save`."""
+        return self.controller.save(folder)
 
 
 def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator | None = None,
@@ -82,12 +91,31 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
         noises = likelihood.most_likely(say=say)
         search = choose_weights(chosen, found.actuator, acted, likelihood, noises, task=task, tell=tell, say=say)
     settings = settings_of(search.best.weights, search.best.observer, found.actuator, acted, likelihood)
-    controller = ModelPredictiveController(chosen.model, task, recordings.bounds, settings, timestep=data.timestep,
-                                           output_names=data.output_names)
+    report = DesignReport(recordings, found, chosen, noises, search, likelihood, task.name, perf_counter() - began)
+    # in the order in which an artifact gives arrays back: products of another order are rounded otherwise
+    ordered = chosen.model.with_arrays(np.ascontiguousarray)
+    controller = DesignedController(ordered, task, recordings.bounds, settings, timestep=data.timestep,
+                                    output_names=data.output_names, facts=report.facts,
+                                    card=_card(data, _name(model)))
     if controller.problem.constraints is not None:
         tightened(controller, held_out(data), MARGIN_QUANTILE)
-    report = DesignReport(recordings, found, chosen, noises, search, likelihood, task.name, perf_counter() - began)
     return Designed(controller, report)
+
+
+def _name(model) -> str:
+    """Under which the artifact's model is known."""
+    if model in SEARCHED if isinstance(model, str | None) else False:
+        return "predictive"
+    return model.upper() if isinstance(model, str) else model.name
+
+
+def _card(data: TrajectoryDataset, name: str) -> dict:
+    """What an artifact's card says beside the model."""
+    outputs, inputs = data.extremes()
+    return {"name": name, "output_names": list(data.output_names), "input_names": list(data.input_names),
+            "input_unit": data.input_unit, "rest": data.rest.tolist(), "input_range": inputs.tolist(),
+            "output_range": outputs.tolist(), "sampling_time": data.timestep,
+            "provenance": provenance() | {"data": data.provenance}}
 
 
 def _given(actuator: Actuator, recordings: Recordings) -> Identification:
