@@ -37,14 +37,14 @@ def bench(config, loaded):
 def main(config, directory):
     from ssmr_torch import artifact
     from ssmr_torch.closed_loop import simulate
-    from ssmr_torch.evaluation.metrics import closed_loop_metrics
     from ssmr_torch.provenance import provenance
+    from ssmr_torch.runner import made_of
 
     loaded, task = artifact.load(config.artifact), instantiate(config.task)
     plant = bench(config, loaded)
     artifact.check_source(loaded, plant)
-    controller = instantiate(config.controller)(loaded.model, task, plant.input_bounds, timestep=plant.timestep,
-                                                output_names=plant.output_names)
+    make, source = instantiate(config.controller), made_of(loaded, config.controller._target_)
+    controller = make(source, task, plant.input_bounds, timestep=plant.timestep, output_names=plant.output_names)
     if config.residuals is not None:
         tighten(config, loaded, controller)
     origin = provenance(OmegaConf.to_container(config, resolve=True)) | {"model": loaded.card["name"],
@@ -57,13 +57,14 @@ def main(config, directory):
         from ssmr_torch.evaluation.deformation import draw_robot
 
         draw_robot(plant, record, directory, config.animate, task.obstacles)
-    metrics = closed_loop_metrics(record, task.obstacles)
-    save_json(directory / "metrics.json", metrics)
+    report = record.report(task.obstacles)
+    metrics = report.metrics
+    save_json(directory / "metrics.json", report.facts)
     inside = "" if not task.obstacles else (f"inside an obstacle {100 * metrics['violation_ratio']:.3g} % of the time, "
                                             f"by {1e3 * metrics['max_violation']:.3g} mm at most, ")
     print(f"{origin['model']}: RMSE {1e3 * metrics['rmse']:.3g} mm, max {1e3 * metrics['max_error']:.3g} mm, "
           f"ISE {1e6 * metrics['ise']:.4g} mm², solve {1e3 * metrics['solve_time_median']:.2g} ms "
-          f"(99 %: {1e3 * metrics['solve_time_p99']:.2g} ms), {inside}{metrics['fallbacks']:.0f} fallbacks\n"
+          f"(99 %: {1e3 * metrics['solve_time_p99']:.2g} ms), {inside}{metrics['fallbacks']:.0f} fallbacks\n{report}\n"
           f"{directory / 'record.h5'}")
     save_result(directory, metrics)
     return metrics["ise"]

@@ -37,10 +37,10 @@ def main(config, directory):
 
 def model_of(config):
     """The model of a checkpoint or of a published file, and what an artifact's card says of it."""
-    from ssmr_torch import artifact
-
     if config.mat is None:
-        twin = artifact.load_twin(config.checkpoint)
+        from ssmr_torch.checkpoint_twin import load_twin
+
+        twin = load_twin(config.checkpoint)
         if twin is not None:
             return twin
         from ssmr_torch.fitting.checkpoints import load_model

@@ -12,9 +12,8 @@ from ssmr_torch.experiments.entry import entry_point, save_json, save_result
 @entry_point("serve")
 def main(config, directory):
     from ssmr_torch import artifact
-    from ssmr_torch.evaluation.metrics import closed_loop_metrics
     from ssmr_torch.provenance import provenance
-    from ssmr_torch.runner import controller_for, prepare
+    from ssmr_torch.runner import controller_for, made_of, prepare
     from ssmr_torch.wire.controller_end import ControllerEnd
     from ssmr_torch.wire.link import ControllerLink
     from ssmr_torch.wire.record import record_of
@@ -24,8 +23,8 @@ def main(config, directory):
     plain = OmegaConf.to_container(config, resolve=True)
     save_json(directory / "settings.json", {part: plain[part] for part in ("controller", "task")})
     origin = provenance(plain) | {"model": loaded.card["name"], "artifact": loaded.card["sha256"]}
-    make = instantiate(config.controller)
-    build = controller_for(loaded, lambda model, bounds, **more: make(model, task, bounds, **more),
+    make, source = instantiate(config.controller), made_of(loaded, config.controller._target_)
+    build = controller_for(loaded, lambda model, bounds, **more: make(source, task, bounds, **more),
                            config.rest_tolerance)
     end = ControllerEnd(build, duration=task.duration, deadline=config.deadline, timeout=config.timeout,
                         patience=config.patience, seed=config.seed)
@@ -35,8 +34,9 @@ def main(config, directory):
         name = "record.h5" if config.runs == 1 else f"record-{end.finished}.h5"
         record = record_of(end, task, origin)
         counts = {f"wire/{what}": n for what, n in sorted(end.counts.items())}
-        results.append(closed_loop_metrics(record, task.obstacles) | counts)
-        print(f"{origin['model']}: ISE {1e6 * results[-1]['ise']:.4g} mm², {dict(end.counts)}\n"
+        report = record.report(task.obstacles)
+        results.append(report.metrics | counts)
+        print(f"{origin['model']}: ISE {1e6 * results[-1]['ise']:.4g} mm², {dict(end.counts)}\n{report}\n"
               f"{record.save(directory / name)}")
 
     with ControllerLink(config.bind) as link:

@@ -2,7 +2,8 @@
 
     tables.safetensors     the arrays, float64, and the structure in its metadata
     reference.safetensors  seeded windows, states and inputs, and what the model made of them
-    card.json              kind, shapes, units, sampling time, provenance, scores
+    card.json              kind, shapes, units, sampling time, provenance, scores, hashes of the other files
+    controller.json        where one was designed: its settings, task, bounds and what tuned it, see `control.designed`
     deployed/              where asked for: the model in C, as Torch programs, as ONNX graphs; see docs/deployment.md
 
 Loading needs NumPy and safetensors only, and never unpickles anything. A family of models from outside is found by its
@@ -39,28 +40,39 @@ KINDS_BEFORE = {"polynomial": "ssmr_torch.models.named_structures:spectral_subma
 # What every card says, and of which type.
 CARD = {"format": str, "kind": str, "model": dict, "sha256": dict, "name": str, "units": dict, "output_names": list,
         "input_names": list, "rest": list, "input_range": list}
+# What controller.json says, and of which type.
+DESIGNED = {"controller": dict, "tracked": list, "input_bounds": list, "timestep": float, "facts": dict}
 REPLAY_TOLERANCE = 1e-9
 DEPLOYED = "deployed"
+CONTROLLER = "controller.json"
 _HASHED = ("tables.safetensors", "reference.safetensors")
 
 
 @dataclass(frozen=True)
 class Artifact:
-    """A loaded model and its card."""
+    """A loaded model and its card. designed: the controller that was designed for it, as JSON; None without one."""
 
     model: Model
     card: dict
+    designed: dict | None = None
+
+    @property
+    def reduced(self) -> Model:
+        """The model, under the name by which controllers ask for it."""
+        return self.model
 
 
 def save(directory: str | Path, model: Model, *, output_names, input_names, rest, input_range,
          input_unit: str = "N", name: str = "SSMR", provenance: dict | None = None,
          scores: dict | None = None, cost: dict | None = None, sampling_time: float | None = None,
-         output_range=None, complete: Callable[[Path], object] | None = None) -> Path:
+         output_range=None, designed: dict | None = None,
+         complete: Callable[[Path], object] | None = None) -> Path:
     """Write the artifact aside and move it into place; an artifact already there is replaced whole.
 
     model: NumPy arrays. output_names (p,), input_names (m,), rest (p,) m, input_range (2, m): what it was trained on;
     sampling_time: s, of the recordings, default the window_timestep. output_range: (2, p) m, of the training.
     scores, cost: plain numbers; one that is not finite, of rollouts that diverge, is stored as null.
+    designed: a controller as `control.designed.carried` gives it; None: the artifact carries none.
     complete: called with the directory while it is still aside, to add to it; what it raises leaves all as it was.
     Raises ValueError when these disagree with the model, a table is not finite, or the directory holds other files.
     """
@@ -78,10 +90,12 @@ def save(directory: str | Path, model: Model, *, output_names, input_names, rest
             "scores": {key: value if np.isfinite(value) else None for key, value in (scores or {}).items()},
             "cost": cost or {}}
     with _replacing(directory) as aside:
-        _save_tables(aside / "tables.safetensors", model)
+        save_tables(aside / "tables.safetensors", model)
         reference = _reference_inputs(model, bounds)
         save_file(reference | _predict(model, reference), aside / "reference.safetensors")
-        card["sha256"] = {name: hashlib.sha256((aside / name).read_bytes()).hexdigest() for name in _HASHED}
+        if designed is not None:
+            (aside / CONTROLLER).write_text(json.dumps(designed, indent=1, allow_nan=False) + "\n")
+        card["sha256"] = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(aside.iterdir())}
         (aside / "card.json").write_text(json.dumps(card, indent=2, allow_nan=False) + "\n")
         if complete is not None:
             complete(aside)
@@ -101,7 +115,8 @@ def load(directory: str | Path) -> Artifact:
     if card["format"] not in (FORMAT, BEFORE) or (card["format"] == BEFORE and card["kind"] not in KINDS_BEFORE):
         raise ValueError(f"{directory} has format {card['format']!r} and kind {card['kind']!r}; this version reads "
                          f"{FORMAT!r}, and {BEFORE!r} of the kinds {sorted(KINDS_BEFORE)}")
-    for path in (directory / name for name in _HASHED):
+    carries = CONTROLLER in card["sha256"] or (directory / CONTROLLER).exists()
+    for path in (directory / name for name in (*_HASHED, *([CONTROLLER] if carries else []))):
         if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != card["sha256"].get(path.name):
             raise ValueError(f"{path} is missing or differs from what the card records; export the model again")
     if card["format"] == BEFORE:
@@ -111,46 +126,29 @@ def load(directory: str | Path) -> Artifact:
         with _needed(directory / "tables.safetensors", f"a model of the kind {card['kind']}"):
             model = found(KINDS_BEFORE[card["kind"]])(**arrays, **settings)
     else:
-        model = _load_tables(directory / "tables.safetensors")[0]
+        model = load_tables(directory / "tables.safetensors")[0]
     _replay(directory, model)
-    return Artifact(model, card)
+    return Artifact(model, card, _designed(directory / CONTROLLER) if carries else None)
 
 
-def save_twin(checkpoint: str | Path, model: Model, card: dict) -> Path:
-    """The model of a checkpoint beside it, as FILE.safetensors, for who has no Torch; see `load_twin`."""
-    path = _twin(checkpoint)
-    aside = path.with_name(f"{path.name}.{os.getpid()}.part")
-    _save_tables(aside, model, card=card, checkpoint=_sha256(checkpoint))
-    os.replace(aside, path)
-    return path
-
-
-def load_twin(checkpoint: str | Path) -> tuple[Model, dict] | None:
-    """The model that lies beside a checkpoint, and its card; None where there is none, or the checkpoint is another."""
-    path = _twin(checkpoint)
-    if not (path.is_file() and Path(checkpoint).is_file()):
-        return None
+def _designed(path: Path) -> dict:
     try:
-        model, noted = _load_tables(path)
-        return (model, noted["card"]) if noted["checkpoint"] == _sha256(checkpoint) else None
-    except (ValueError, KeyError):
-        return None
-
-
-def _twin(checkpoint: str | Path) -> Path:
-    return Path(checkpoint).with_suffix(".safetensors")
-
-
-def _sha256(path: str | Path) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+        designed = json.loads(path.read_text())
+    except ValueError as error:
+        raise ValueError(f"{path} is not valid JSON ({error}); design the controller again") from error
+    missing = [name for name, kind in DESIGNED.items() if not isinstance(designed, dict)
+               or not isinstance(designed.get(name), kind)]
+    if missing:
+        raise ValueError(f"{path} is no designed controller, it has no {', '.join(missing)}; design it again")
+    return designed
 
 
 def _class_of(model: Model) -> str:
     return f"{type(model).__module__}:{type(model).__qualname__}"
 
 
-def _save_tables(path: Path, model: Model, **noted) -> None:
+def save_tables(path: Path, model: Model, **noted) -> None:
+    """The arrays in one file, whose metadata hold class and plain values of the model, and what else is noted."""
     # one key: safetensors writes several in any order, and the same model would have another hash each time
     noted = {"class": _class_of(model), "plain": model.plain(), **noted}
     save_file({name: np.ascontiguousarray(array) for name, array in model.arrays.items()}, path,
@@ -188,7 +186,9 @@ def _needed(path: Path, what: str):
         raise ValueError(f"{path} does not hold what {what} needs ({error}); export the model again") from error
 
 
-def _load_tables(path: Path) -> tuple[Model, dict]:
+def load_tables(path: Path) -> tuple[Model, dict]:
+    """The model of a file of `save_tables`, and all that is noted in it. Raises ValueError for another or damaged file.
+    """
     arrays, noted = _stored(path)
     if not isinstance(noted, dict) or not {"class", "plain"} <= noted.keys():
         raise ValueError(f"{path} does not say which model its tables belong to; export the model again")
@@ -256,7 +256,7 @@ def _validate(model: Model, output_names, input_names, rest: np.ndarray, bounds:
 def _refuse_foreign(directory: Path) -> None:
     if not directory.exists():
         return
-    known = (*_HASHED, "card.json") + ((DEPLOYED,) if (directory / "card.json").is_file() else ())
+    known = (*_HASHED, CONTROLLER, "card.json") + ((DEPLOYED,) if (directory / "card.json").is_file() else ())
     foreign = [directory.name] if directory.is_file() else sorted(
         path.name for path in directory.iterdir() if path.name not in known)
     if foreign:

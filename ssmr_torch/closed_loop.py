@@ -14,6 +14,7 @@ import numpy as np
 from ssmr_torch import __version__
 from ssmr_torch import data_sheet as sheet
 from ssmr_torch.data_sheet import DataSheet
+from ssmr_torch.evaluation.loop_report import LoopReport, loop_report, natural_frequency
 from ssmr_torch.evaluation.metrics import SETTLING_TIME, max_tracking_error, tracking_rmse
 from ssmr_torch.periods import whole_multiple
 
@@ -76,9 +77,15 @@ class ClosedLoopRecord(DataSheet):
         entries["fallbacks"] = f"{int(self.fallback.sum())} of {len(times)} decisions"
         entries["inputs"] = sheet.spans(self.input_names, self.input.min(axis=0), self.input.max(axis=0),
                                         sheet.unit_of(self.input_unit))
+        if "tuned" in said:
+            entries["tuned"] = said["tuned"]
         if "noise_std" in said:
             entries["noise"] = f"{sheet.number(1e3 * said['noise_std'])} mm, seed {said['seed']}"
         return f"ClosedLoopRecord{name}: {sheet.number(self.time[-1] - self.time[0])} s", entries | sheet.origin(said)
+
+    def report(self, obstacles=()) -> LoopReport:
+        """All that is said of the run together, as ssmr control prints it; obstacles: those of the task."""
+        return loop_report(self, obstacles)
 
     def _errors(self) -> str:
         if not np.isfinite(self.error).all():
@@ -164,9 +171,24 @@ def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, 
             sample = np.array(plant.step(command.input), dtype=np.float64)
     settings = {"task": task.name, "plant": plant.name, "controller": type(controller).__name__,
                 "period": controller.period, "timestep": plant.timestep, "seed": seed, "noise_std": noise_std,
-                "version": __version__}
+                "version": __version__} | told_by(controller)
+    if hasattr(plant, "input_bounds"):
+        settings["input_bounds"] = np.asarray(plant.input_bounds, dtype=np.float64).tolist()
     return _record(plant, task, time, np.stack(truth), np.stack(samples) + noise, commands, durations,
                    settings | (provenance or {}))
+
+
+def told_by(controller) -> dict:
+    """What a controller says of itself and its run, as far as it does: what tuned it, minutes of recordings, reach m,
+    first natural frequency rad/s of its model, and what it counted.
+    """
+    facts, model = getattr(controller, "facts", {}), getattr(controller, "model", None)
+    told = {name: facts[name] for name in ("tuned", "minutes", "reach") if facts.get(name) is not None}
+    if hasattr(model, "rates"):
+        told["natural_frequency"] = natural_frequency(model.rates)
+    if hasattr(controller, "counts"):
+        told["counts"] = {str(name): int(count) for name, count in controller.counts.items() if count}
+    return told
 
 
 def _counted(steps, name: str):

@@ -16,7 +16,7 @@ from pathlib import Path
 from ssmr_torch import __version__
 from ssmr_torch.extras import remedy, require
 
-COMMANDS = ("collect", "check", "train", "compare", "export", "evaluate", "control", "commission", "serve",
+COMMANDS = ("collect", "check", "train", "compare", "export", "evaluate", "design", "control", "commission", "serve",
             "serve-plant", "report", "delay-study", "reproduce")
 SEARCHES = ("sweep=", "tuning=")
 COMPLETION = ("-sc", "--shell-completion")  # as Hydra has it

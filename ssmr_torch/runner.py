@@ -1,7 +1,9 @@
 """Serve a controller over the wire without Torch, Hydra or SciPy: python -m ssmr_torch.runner ARTIFACT --settings FILE
 
-The settings are JSON: `controller` and `task`, each with the class or function under `_target_` and its arguments, as
-ssmr serve writes them to settings.json. Needs numpy, numba, safetensors, proxsuite and pyzmq.
+Without settings it is the controller that ssmr design put into the artifact, with the task of the design. The settings
+are JSON: `controller` and `task`, each with the class or function under `_target_` and its arguments, as ssmr serve
+writes them to settings.json; without a `controller` it is the artifact's. Needs numpy, numba, safetensors, proxsuite
+and pyzmq.
 """
 
 from __future__ import annotations
@@ -10,9 +12,7 @@ import argparse
 import json
 import logging
 import sys
-from collections.abc import Callable, Sequence
-from functools import partial
-from importlib import import_module
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,54 +20,21 @@ import numpy as np
 from ssmr_torch import artifact
 from ssmr_torch.defaults import keyword_defaults
 from ssmr_torch.extras import remedy
+from ssmr_torch.lazy import found
 from ssmr_torch.settings import non_negative
+from ssmr_torch.targets import build
 
 log = logging.getLogger(__name__)
 
-ROOMS = ("ssmr_torch.control.", "ssmr_torch.tasks.")
 REST_TOLERANCE = 1e-3  # m
+DESIGNED = {"_target_": "ssmr_torch.control.designed.designed_controller"}
 DEFAULT = {"controller": {"_target_": "ssmr_torch.control.mpc.ModelPredictiveController"},
            "task": {"_target_": "ssmr_torch.tasks.references.figure_eight", "tracked": ["tip_x", "tip_y"]}}
 
 
-def build(settings: dict, *arguments, packages: Sequence[str] = (), **more):
-    """Call what `_target_` names with its arguments and these.
-
-    packages: whose contents the settings may name beside control and tasks; a file must not decide which code runs.
-    Raises ValueError for a target or a solver elsewhere, for one that is not there, and for unknown arguments.
-    """
-    target = settings.get("_target_") if isinstance(settings, dict) else None
-    _refuse_elsewhere("_target_", target, packages)
-    solver = settings.get("qp")
-    if isinstance(solver, str) and ":" in solver and not solver.startswith("qpsolvers:"):
-        _refuse_elsewhere("qp", solver.replace(":", "."), packages)
-    module, _, name = target.rpartition(".")
-    try:
-        function = getattr(import_module(module), name)
-    except (ModuleNotFoundError, AttributeError) as error:
-        raise ValueError(f"cannot have {target}: {error}") from error
-    given = {key: _built(value, packages) for key, value in settings.items() if not key.startswith("_")}
-    try:
-        return function(*arguments, **given, **more)
-    except TypeError as error:
-        raise ValueError(f"{target} does not take {given}: {error}") from error
-
-
-def _refuse_elsewhere(what: str, target, packages: Sequence[str]) -> None:
-    rooms = (*ROOMS, *(f"{package}." for package in packages))
-    if not isinstance(target, str) or not target.startswith(rooms):
-        raise ValueError(f"the settings name {target!r} as {what}; expected something in {' or '.join(rooms)}, or in a "
-                         "package that --package names")
-
-
-def _built(value, packages: Sequence[str]):
-    """Settings within settings: an observer, which the controller itself completes, or obstacles."""
-    if isinstance(value, list):
-        return [_built(part, packages) for part in value]
-    if not (isinstance(value, dict) and "_target_" in value):
-        return value
-    made = partial(build, value, packages=packages)
-    return made if value.get("_partial_") else made()
+def made_of(loaded: artifact.Artifact, target: str):
+    """What a controller of this `_target_` is made of: the whole artifact where it carries it, else the model."""
+    return loaded if target == DESIGNED["_target_"] else loaded.model
 
 
 def controller_for(loaded: artifact.Artifact, make: Callable, rest_tolerance: float = REST_TOLERANCE) -> Callable:
@@ -133,9 +100,14 @@ def _serve(options) -> None:
     if options.artifact is None:
         raise ValueError("give the directory of an artifact, such as ssmr export writes")
     loaded, settings = artifact.load(options.artifact), _settings(options.settings)
-    task = build(settings["task"], packages=options.package)
+    chosen = settings.get("controller") or DESIGNED
+    if settings.get("task"):
+        task = build(settings["task"], packages=options.package)
+    else:
+        task = found("ssmr_torch.control.designed:own_task")(loaded)
+    source = made_of(loaded, chosen.get("_target_"))
     make = controller_for(loaded, lambda model, bounds, **more: build(
-        settings["controller"], model, task, bounds, packages=options.package, **more), options.rest_tolerance)
+        chosen, source, task, bounds, packages=options.package, **more), options.rest_tolerance)
     end = ControllerEnd(make, duration=task.duration, deadline=options.deadline, timeout=options.timeout,
                         patience=options.patience)
     with ControllerLink(options.bind) as link:
@@ -147,21 +119,23 @@ def _serve(options) -> None:
 
 def _settings(path: str | None) -> dict:
     if path is None:
-        return DEFAULT
+        return {}
     try:
         settings = json.loads(Path(path).read_text())
     except json.JSONDecodeError as error:
         raise ValueError(f"{path} is not JSON ({error}); --print-settings shows what is expected") from error
-    if not isinstance(settings, dict) or not DEFAULT.keys() <= settings.keys():
-        raise ValueError(f"{path} must be a JSON object with {sorted(DEFAULT)}; --print-settings shows one")
+    if not isinstance(settings, dict) or not settings or not settings.keys() <= DEFAULT.keys():
+        raise ValueError(f"{path} must be a JSON object with {' and '.join(DEFAULT)}, or one of them; --print-settings "
+                         "shows one")
     return settings
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m ssmr_torch.runner", description=__doc__.splitlines()[0])
     parser.add_argument("artifact", nargs="?", help="directory of the artifact")
-    parser.add_argument("--settings", help="JSON file with controller and task; default: --print-settings")
-    parser.add_argument("--print-settings", action="store_true", help="print the default settings and end")
+    parser.add_argument("--settings", help="JSON file with controller and task; what it does not name is the "
+                        "artifact's, of ssmr design")
+    parser.add_argument("--print-settings", action="store_true", help="print settings with all defaults and end")
     parser.add_argument("--package", action="append", default=[], metavar="NAME", help="package of your own whose "
                         "controllers, observers, tasks and solvers the settings may name; may be repeated")
     parser.add_argument("--bind", default="tcp://*:5555", help="address to wait at (default %(default)s)")

@@ -30,7 +30,8 @@ class TrainedModel(DataSheet):
 
     reduced: the model as plain arrays, what controllers take. card: plain values: name, output_names, input_names,
     input_unit, rest (p,) m, input_range (2, m), sampling_time s, scores, cost, provenance. module: the torch.nn.Module
-    that was fitted, None of an artifact. report: what determined each fit, empty of an artifact.
+    that was fitted, None of an artifact. report: what determined each fit, empty of an artifact. designed: the
+    controller that an artifact of `ssmr design` carries, as JSON; None without one, see `controller`.
 
     `ssmr_torch.fit` and `ssmr_torch.load` give one; see `predict`, `save` and `export`.
 
@@ -56,12 +57,13 @@ class TrainedModel(DataSheet):
     card: Mapping
     module: object = None
     report: Mapping = field(default_factory=dict)
+    designed: Mapping | None = None
 
     @classmethod
     def load(cls, folder: str | Path) -> TrainedModel:
         """The model of an artifact. Raises what `artifact.load` raises."""
         loaded = artifact.load(folder)
-        return cls(loaded.model, {"input_unit": loaded.card["units"]["input"], **loaded.card})
+        return cls(loaded.model, {"input_unit": loaded.card["units"]["input"], **loaded.card}, designed=loaded.designed)
 
     @property
     def name(self) -> str:
@@ -189,6 +191,17 @@ class TrainedModel(DataSheet):
                              "equal leading shapes, or none to share one") from error
         return tuple(np.broadcast_to(array, leading + array.shape[-2:]) for array in found)
 
+    def controller(self, task=None, bounds=None, **changes):
+        """The `DesignedController` that the artifact carries, which commands what the design's own would, bit by bit.
+
+        task: one that tracks the same outputs; None: that of the design.   bounds: (2, m), of the robot, within which
+        the commands stay as well; None: those of the design.   changes: of the settings, by name.
+        Raises ValueError, saying what to run, for an artifact without one, and for a task of other outputs.
+        """
+        from ssmr_torch.control.designed import designed_controller
+
+        return designed_controller(self, task, bounds, **changes)
+
     def save(self, folder: str | Path) -> Path:
         """Write the artifact that runs on a robot, whole or not at all; one already there is replaced.
 
@@ -218,7 +231,7 @@ class TrainedModel(DataSheet):
                              rest=card["rest"], input_range=card["input_range"], input_unit=card["input_unit"],
                              name=card["name"], provenance=card.get("provenance"), scores=_finite(card.get("scores")),
                              cost=card.get("cost"), sampling_time=self.sampling_time,
-                             output_range=card.get("output_range"), **more)
+                             output_range=card.get("output_range"), designed=self.designed, **more)
 
     def data_sheet(self) -> tuple[str, dict]:
         model, said = self.reduced, self.card.get("provenance") or {}
@@ -236,6 +249,9 @@ class TrainedModel(DataSheet):
         if "decays" in cost:
             entries["trained on"] = (f"{cost['decays']:.0f} decays, {cost['controlled_samples']:.0f} samples of "
                                      "controlled runs")
+        if self.designed:
+            entries["controller"] = (f"tracks {sheet.listed(self.designed['tracked'])}; "
+                                     f"{self.designed['facts'].get('tuned', 'by given settings')}")
         entries["rest"] = f"{sheet.listed(sheet.number(1e3 * x) for x in self.rest)} mm"
         made = sheet.origin(said.get("training") or said)
         sizes = f"{model.state_dim} states, {model.input_dim} inputs, {model.output_dim} outputs"

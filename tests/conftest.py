@@ -7,14 +7,21 @@ import os
 import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
+import scipy.linalg
 import torch
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
 from ssmr_torch import configuration
+from ssmr_torch.control.actuator import Actuator
+from ssmr_torch.control.designed import DesignedController
+from ssmr_torch.control.disturbance_observer import DisturbanceObserver
+from ssmr_torch.control.settings import PredictiveControlSettings
 from ssmr_torch.data.windows import SegmentDataset
 from ssmr_torch.fitting.exact import ExactSolve
 
@@ -93,6 +100,35 @@ def bench():
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="session")
+def by_hand(bench):
+    """(task, **settings) → a `DesignedController` of the benchmark's oscillators, as a design makes one: delay, lag,
+    friction and gains of the actuator, the stationary observer, weights in ranges.
+    """
+    model, outputs, span = bench.oscillators(), [f"y{k}" for k in range(6)], np.ptp(bench.BOUNDS, axis=0)
+    A, B, _ = model.linearize(np.zeros(6), np.full(4, 0.2))
+    G, H = scipy.linalg.block_diag(A, np.eye(6)), np.hstack([np.eye(6), np.eye(6)])
+    process = scipy.linalg.block_diag(1e-4 * B @ B.T + 1e-12 * np.eye(6), 1e-10 * np.eye(6))
+    P = scipy.linalg.solve_discrete_are(G.T, H.T, process, 1e-9 * np.eye(6))
+    S = H @ P @ H.T + 1e-9 * np.eye(6)
+    observer = partial(DisturbanceObserver, gain=np.linalg.solve(S, H @ P).T, covariance=S, limit=0.03, lost=0.005,
+                       watched=(0, 1))
+    actuator = Actuator(0.01, tuple(span), delay=2, lag=0.01, friction=0.05, gain=(1.0, 0.97, 1.0, 1.02))
+    settings = PredictiveControlSettings(
+        horizon=8, period=0.01, output_weight=1e9, input_weight=1.0, move_weight=40.0, huber=1e-4, observer=observer,
+        actuator=actuator, approach=0.5, input_target=(0.1,) * 4)
+    card = {"name": "oscillators", "output_names": outputs, "input_names": ["left", "right", "up", "down"],
+            "input_unit": "N", "rest": [0.1] * 6, "input_range": bench.BOUNDS.tolist(), "sampling_time": 0.01}
+    facts = {"tuned": "designed from 2.5 min of recordings", "minutes": 2.5, "reach": 0.02, "task": "figure eight"}
+
+    def make(task=None, **changes):
+        task = bench.figure_eight(laps=1.0, amplitude=0.005, tracked=("y0", "y1")) if task is None else task
+        return DesignedController(model, task, bench.BOUNDS, settings.changed(**changes), timestep=0.01,
+                                  output_names=outputs, facts=facts, card=card)
+
+    return make
 
 
 @pytest.fixture(scope="session")

@@ -53,9 +53,10 @@ NEVER = {
 STARTS_EXPERIMENTS = {"command.py"}
 # Who touches files; all else takes and returns arrays.
 TOUCHES_FILES = [
-    "trajectory.py", "artifact.py", "closed_loop.py", "provenance.py", "published_models.py", "runner.py", "command.py",
-    "commissioning/directory.py", "defaults.py", "data/*", "deployment/deploy.py", "fitting/by_kind.py",
-    "fitting/checkpoints.py", "evaluation/*figures.py", "evaluation/report.py", "evaluation/sections.py",
+    "trajectory.py", "artifact.py", "checkpoint_twin.py", "closed_loop.py", "provenance.py", "published_models.py",
+    "runner.py", "command.py", "commissioning/directory.py", "controller_design/report.py", "defaults.py", "data/*",
+    "deployment/deploy.py", "fitting/by_kind.py", "fitting/checkpoints.py", "evaluation/*figures.py",
+    "evaluation/report.py", "evaluation/sections.py",
     "reproduction/sections.py",
     "plants/finite_element/mesh_files.py", "tasks/symbols.py", "view/rerun_view.py"]
 NAMELESS = {"utils", "util", "helpers", "helper", "common", "misc", "manager"}

@@ -32,7 +32,8 @@ def test_what_may_not_be_imported_is_not_there():
 
 @pytest.mark.parametrize(("allowed", "modules"), [
     (set(), ["", "status", "provenance"]),
-    (ROBOT, ["artifact", "control.mpc", "control.observers", "control.solvers.proxqp", "runner", "tasks.references"]),
+    (ROBOT, ["artifact", "control.mpc", "control.observers", "control.designed",
+             "control.disturbance_observer", "control.solvers.proxqp", "runner", "tasks.references"]),
     ({"numpy", "safetensors", "zmq"}, ["runner", "wire.serving", "wire.link", "wire.robot_end"]),
     ({"numpy", "safetensors"}, ["deployment.deploy"]),
     ({"numpy"}, ["evaluation.open_loop", "evaluation.metrics"]),

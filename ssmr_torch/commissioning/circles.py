@@ -7,6 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
+from ssmr_torch.tasks.curves import OutAndRound
 from ssmr_torch.tasks.references import Task, ramped_phase
 from ssmr_torch.trajectory import TrajectoryDataset
 
@@ -49,10 +50,5 @@ def circle_about(centre: np.ndarray, radius: float, lap: float, laps: int, outpu
                          "one side only, so name two other outputs as tracked in the card")
     phase, turning = ramped_phase(2 * np.pi * laps, 2 * np.pi / lap, 0.25 * lap)
 
-    def path(time: np.ndarray) -> np.ndarray:
-        out = np.clip(np.minimum(time, turning + 2 * approach - time) / approach, 0.0, 1.0)
-        r = radius * out ** 3 * (10.0 - 15.0 * out + 6.0 * out ** 2)
-        theta = phase(np.clip(time - approach, 0.0, turning))
-        return centre + r[:, None] * np.stack([np.cos(theta), np.sin(theta)], axis=-1)
-
-    return Task(name, turning + 2 * approach, tuple(outputs), path)
+    return Task(name, turning + 2 * approach, tuple(outputs),
+                OutAndRound(centre, radius, approach, turning, phase))

@@ -25,6 +25,7 @@ from ssmr_torch.settings import Settings, positive, whole
 from ssmr_torch.tasks.references import Task
 
 STEPS = tuple(TITLES)
+ARTIFACT = "artifact"
 FEWEST = 20  # standard deviations of noise, that a circle's radius must have
 
 
@@ -32,9 +33,10 @@ FEWEST = 20  # standard deviations of noise, that a circle's radius must have
 class CommissioningSettings(Settings):
     """Settings of `commission`.
 
-    model: kind of `ssmr_torch.fit`, such as auto.   rest_duration: s of noise at rest.
-    slow_lap, fast_lap: s of a lap of the two circles.   laps: of each.   share_of_reach: radius of the circles.
-    seed: of the excitation, and of whatever the robot draws.   figures: whether to draw; needs the extra plots.
+    model: what the controller is designed on, see `ssmr_torch.design`, such as auto or ssmr.
+    rest_duration: s of noise at rest.   slow_lap, fast_lap: s of a lap of the two circles.   laps: of each.
+    share_of_reach: radius of the circles.   seed: of the excitation, and of whatever the robot draws.
+    figures: whether to draw; needs the extra plots.
     """
 
     model: str = "auto"
@@ -58,15 +60,16 @@ SETTINGS = CommissioningSettings()
 
 
 def commission(plant: Plant, card: BenchCard | str | Path, directory: str | Path, *, excitation: Callable | None = None,
-               confirm: str | Confirm = "ask", design: Callable | None = None, fit: Callable | None = None,
+               confirm: str | Confirm = "ask", design: Callable | None = None, load: Callable | None = None,
                settings: CommissioningSettings = SETTINGS, **changes) -> list[str]:
     """Commission a robot; the same call in the same directory goes on after the last confirmed step.
 
     plant: any `Plant`, such as `plants.RemotePlant`.   card: a `BenchCard`, or the file of one.
     excitation: (plant, directory=, workers=) → dataset; None: excitation=five_minutes of the configuration.
     confirm: "ask", "yes", or (step, text, faults) → bool; False ends the call, and the step is not recorded as done.
-    design: (kind, data, task, bounds) → (controller, report); None: `ssmr_torch.design`.   fit: (data, kind) → model
-    with `save(folder)`; None: `ssmr_torch.fit`.   changes: of the settings, by name.
+    design: (kind, data, task, bounds) → what has a `report` and `save(folder)`; None: `ssmr_torch.design`.
+    load: folder → what has `controller(task)`; None: `ssmr_torch.load`. Both circles are drawn by what it gives, which
+    is what the artifact carries.   changes: of the settings, by name.
 
     Returns the names of the confirmed steps; all is done when these are STEPS. Raises ValueError for a card that does
     not fit the robot or the directory, SafetyStop when a limit is exceeded in any step but the collection, which
@@ -74,7 +77,7 @@ def commission(plant: Plant, card: BenchCard | str | Path, directory: str | Path
     """
     card = fitted(card if isinstance(card, BenchCard) else read_bench_card(card), plant)
     work = Commissioning(plant, card, BenchDirectory(directory), confirmation(confirm), excitation or _five_minutes(),
-                         design or _design, fit or _fit, settings.changed(**changes))
+                         design or _design, load or _load, settings.changed(**changes))
     with ended_in_order():
         return work.go_on()
 
@@ -83,10 +86,9 @@ class Commissioning:
     """One call of `commission`; every method named after a step returns what is to be shown and its faults."""
 
     def __init__(self, plant: Plant, card: BenchCard, directory: BenchDirectory, confirm: Confirm, excitation: Callable,
-                 design: Callable, fit: Callable, settings: CommissioningSettings):
+                 design: Callable, load: Callable, settings: CommissioningSettings):
         self.plant, self.card, self.directory, self.confirm = plant, card, directory, confirm
-        self.excitation, self.design, self.fit, self.settings = excitation, design, fit, settings
-        self._designed: dict[str, tuple] = {}
+        self.excitation, self.design, self.load, self.settings = excitation, design, load, settings
 
     def go_on(self) -> list[str]:
         """Take the steps that are not confirmed yet, until one is declined; the names of those that are."""
@@ -181,16 +183,14 @@ class Commissioning:
         missing = [each for each in report.findings if each.severity == "missing"]
         return f"```\n{report}\n```", [f"{each.subject}: {each.said} {each.remedy}".rstrip(". ") for each in missing]
 
-    def _fit(self) -> tuple[str, list]:
-        model = self.fit(self.directory.trajectories(), self.settings.model)
-        model.save(self.directory.path / "artifact")
-        return f"```\n{model}\n```", []
-
     def _design(self) -> tuple[str, list]:
         task, about, _ = self._circle("slow circle", self.settings.slow_lap)
-        _, report = self._controller(task)
+        bounds = self._guard().narrowed(recorded_share(self.directory)).input_bounds
+        designed = self.design(self.settings.model, self.directory.trajectories(), task, bounds)
+        path, report = designed.save(self.directory.path / ARTIFACT), designed.report
         self.directory.write("design.txt", f"{report}\n")
-        return f"{about}\n\n```\n{report}\n```", []
+        found = "\n".join(f"- {sentence}" for sentence in getattr(report, "sentences", ()))
+        return f"{about}\n\n```\n{report}\n```\n\n{found}\n\nModel and controller are in `{path.name}/`.", []
 
     def _slow_circle(self) -> tuple[str, list]:
         return self._drawn("slow circle", self.settings.slow_lap)
@@ -203,7 +203,7 @@ class Commissioning:
         from ssmr_torch.evaluation.metrics import closed_loop_metrics
 
         task, about, radius = self._circle(step, lap)
-        controller, _ = self._controller(task)
+        controller = self.load(self.directory.path / ARTIFACT).controller(task)
         with self._moving(step) as guard:
             record = simulate(guard, controller, task, seed=self.settings.seed, progress=True)
         self.directory.keep_record(step, record)
@@ -233,14 +233,6 @@ class Commissioning:
                  f"{100 * self.settings.share_of_reach:.3g} % of the reach of {1e3 * most:.3g} mm; {lap:g} s a lap.")
         return circle_about(rest[columns], radius, lap, self.settings.laps, outputs, name), about, radius
 
-    def _controller(self, task: Task) -> tuple:
-        """Controller and design report of a task, designed once in a call."""
-        if task.name not in self._designed:
-            bounds = self._guard().narrowed(recorded_share(self.directory)).input_bounds
-            data = self.directory.trajectories()
-            self._designed[task.name] = tuple(self.design(self.settings.model, data, task, bounds))
-        return self._designed[task.name]
-
     def _std(self) -> np.ndarray:
         return np.array(self.directory.read_json("noise.json")["std_m"])
 
@@ -268,10 +260,10 @@ def _five_minutes() -> Callable:
     return configuration.built(configuration.composed("collect", ["excitation=five_minutes"]).excitation)
 
 
-def _fit(data, kind: str):
-    from ssmr_torch.fitting.by_kind import fit
+def _load(folder: Path):
+    from ssmr_torch.face import load
 
-    return fit(data, kind)
+    return load(folder)
 
 
 def _design(kind: str, data, task: Task, bounds: np.ndarray):

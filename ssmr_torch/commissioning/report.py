@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from ssmr_torch import __version__
 
 TITLES = {"card": "The card", "noise": "Noise at rest", "steps": "Polarity, order and delay of the inputs",
-          "collection": "Recordings", "check": "What the recordings hold", "fit": "The model",
-          "design": "The controller", "slow circle": "A slow circle", "fast circle": "A fast circle"}
+          "collection": "Recordings", "check": "What the recordings hold",
+          "design": "The model and the controller", "slow circle": "A slow circle", "fast circle": "A fast circle"}
 FIGURES = {"steps": ("steps.svg",), "check": ("recordings.svg",), "fast circle": ("circles.svg",)}
 
 

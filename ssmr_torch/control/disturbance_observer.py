@@ -12,6 +12,7 @@ from ssmr_torch.control.gate import InnovationGate
 from ssmr_torch.control.stepping import Stepper
 
 BEYOND = 1.2      # times the recorded range: a state there which mispredicts as well is lost
+FAR = 3.0         # times the recorded range: no state is there, whatever is measured
 STRANGE = 10      # samples that it must do so
 SETTLING = 10.0   # s that the model is given to come to rest
 
@@ -30,13 +31,14 @@ class DisturbanceObserver:
 
     model: NumPy tables at the timestep of the measurements.   gain: (n + p, p), [K_z; K_d].   covariance: (p, p) m², of
     the innovation.   limit: (p,) m.   lost: m.   watched: columns of y.   input_range is not needed.
-    `counts` holds what was gated, missing and restarted. Raises ValueError for sizes that do not fit the model.
+    `counts`: how often it "gated", and "observer restarted". Raises ValueError for sizes that do not fit the model.
     """
 
     def __init__(self, model, input_range=None, *, gain, covariance, limit, lost: float, watched=None):
         self.model = model
         n, p = model.state_dim, model.output_dim
-        self._gain, self._precision = np.array(gain, dtype=np.float64), np.linalg.inv(np.array(covariance, dtype=float))
+        self._gain = np.array(gain, dtype=np.float64, order="C")  # another order would round products otherwise
+        self._precision = np.linalg.inv(np.array(covariance, dtype=np.float64, order="C"))
         self._limit = np.array(np.broadcast_to(np.asarray(limit, dtype=np.float64), (p,)))
         if self._gain.shape != (n + p, p) or self._precision.shape != (p, p):
             raise ValueError(f"the gain has shape {self._gain.shape} and the covariance {self._precision.shape}; a "
@@ -73,7 +75,8 @@ class DisturbanceObserver:
                 for _ in range(round(SETTLING / self.model.timestep)):
                     z, y = self._step(z, acting)
             if not self._inside(z):
-                z, y = start, self.model.decode(start)
+                z = np.clip(start, -self._range, self._range)
+                y = self.model.decode(z)
             self._rest = key, z, y
         return self._rest[1:]
 
@@ -83,22 +86,22 @@ class DisturbanceObserver:
     def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
         z, predicted = self._step(self._z, last_input) if self._begun else self.rest(last_input)
         self._z, self._begun = z.copy(), True
-        if not np.isfinite(observation).all():
-            self.counts["missing"] += 1
-        elif self._unloaded:
+        whole = bool(np.isfinite(observation).all())
+        if whole and self._unloaded:
             self._d, self._unloaded = np.clip(observation - predicted, -self._limit, self._limit), False
-        elif not self._gap:
+        elif whole and not self._gap:
             self._update(observation - predicted - self._d)
         self._chart.measure(observation - self._d, last_input)
-        if self._gap and np.isfinite(observation).all():
+        if self._gap and whole:
             self._gap = False
             self._from_chart()
-        elif self._strange > STRANGE or not np.isfinite(self._z).all():
-            self.counts["restarted"] += self._from_chart()
+        elif self._strange > STRANGE or not (np.abs(self._z) <= FAR * self._range).all():
+            self.counts["observer restarted"] += self._from_chart()
 
     def _update(self, error: np.ndarray) -> None:
         if not self._gate.passes(float(error @ self._precision @ error) / len(error)):
             self.counts["gated"] += 1
+            self._strange = self._strange + 1 if not self._inside(self._z) else 0
             return
         n, correction = len(self._z), self._gain @ error
         self._z = self._z + correction[:n]
@@ -112,6 +115,7 @@ class DisturbanceObserver:
         known = bool(np.isfinite(z).all())
         if known:
             self._z, self._strange = np.clip(z, -self._range, self._range), 0
+            self._gate.reset()
         return known
 
     def state(self) -> tuple[np.ndarray, None, np.ndarray]:

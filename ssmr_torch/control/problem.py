@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -106,6 +106,18 @@ class TrackingProblem:
     def _set(self, name: str, array: np.ndarray) -> None:
         array.setflags(write=False)
         object.__setattr__(self, name, array)
+
+    def __getstate__(self) -> dict:
+        """Fields and units; all else is derived from them, and like them read-only."""
+        kept = {*(field.name for field in fields(self)), "input_scale", "cost_scale"}
+        return {name: value for name, value in self.__dict__.items() if name in kept}
+
+    def __setstate__(self, state: dict) -> None:
+        # a copy's arrays could be written to, for which compiled functions would be made anew in its first step
+        self.__dict__.update(state)
+        for field in fields(self):
+            if isinstance(state.get(field.name), np.ndarray):
+                state[field.name].setflags(write=False)
 
     @property
     def input_dim(self) -> int:

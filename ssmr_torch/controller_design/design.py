@@ -5,14 +5,15 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from time import perf_counter
-from typing import NamedTuple
 
 import numpy as np
 
 from ssmr_torch.control.actuator import Actuator
-from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.control.designed import DesignedController
+from ssmr_torch.control.tightening import tightened
 from ssmr_torch.controller_design.controller import settings_of
 from ssmr_torch.controller_design.identification import Identification, identify
 from ssmr_torch.controller_design.model_choice import (
@@ -26,21 +27,31 @@ from ssmr_torch.controller_design.model_choice import (
     spectral_radii,
 )
 from ssmr_torch.controller_design.noises import Likelihood
-from ssmr_torch.controller_design.recordings import Recordings, recordings_of
+from ssmr_torch.controller_design.recordings import Recordings, held_out, recordings_of
 from ssmr_torch.controller_design.report import DesignReport
 from ssmr_torch.controller_design.weights import choose_weights
+from ssmr_torch.provenance import provenance
 from ssmr_torch.trained_model import TrainedModel
 from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 
+MARGIN_QUANTILE = 0.95   # of the held-out errors, by which constraints are tightened
 DISBELIEF = 1.2      # times the error without an actuator: one with which the best model misses by more is not believed
 LOOPS = 240          # steps of the bar: designs whose margins are looked at, and loops against the twin
 
 
-class Designed(NamedTuple):
-    """controller: ready to run; report: what was found, and why, see `DesignReport`."""
+@dataclass(frozen=True, eq=False)
+class Designed:
+    """controller: ready to run; report: what was found, and why, see `DesignReport`. Unpacks into the two."""
 
-    controller: ModelPredictiveController
+    controller: DesignedController
     report: DesignReport
+
+    def __iter__(self):
+        return iter((self.controller, self.report))
+
+    def save(self, folder: str | Path) -> Path:
+        """Write the artifact with model and controller, see `DesignedController.save`."""
+        return self.controller.save(folder)
 
 
 def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator | None = None,
@@ -53,6 +64,9 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
        whose kind is fitted again where the inputs that act are not the commands, with the options it was fitted with.
     3. Noises of inputs, states, disturbance and sensors by the likelihood of held-out runs; the stationary observer.
     4. Observer and weights by margins along the recordings and by loops against a twin, a second model.
+
+    Obstacles and output bounds are tightened, at each step of the horizon, by the 95 % quantile of what the controller
+    misses of the held-out runs.
 
     data: recordings with controlled runs under dither; training and validation runs are used, test runs never.
     task: of `ssmr_torch.tasks`; its outputs are tracked.   bounds: (2, m), lowest and highest command.
@@ -77,10 +91,31 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
         noises = likelihood.most_likely(say=say)
         search = choose_weights(chosen, found.actuator, acted, likelihood, noises, task=task, tell=tell, say=say)
     settings = settings_of(search.best.weights, search.best.observer, found.actuator, acted, likelihood)
-    controller = ModelPredictiveController(chosen.model, task, recordings.bounds, settings, timestep=data.timestep,
-                                           output_names=data.output_names)
     report = DesignReport(recordings, found, chosen, noises, search, likelihood, task.name, perf_counter() - began)
+    # in the order in which an artifact gives arrays back: products of another order are rounded otherwise
+    ordered = chosen.model.with_arrays(np.ascontiguousarray)
+    controller = DesignedController(ordered, task, recordings.bounds, settings, timestep=data.timestep,
+                                    output_names=data.output_names, facts=report.facts,
+                                    card=_card(data, _name(model)))
+    if controller.problem.constraints is not None:
+        tightened(controller, held_out(data), MARGIN_QUANTILE)
     return Designed(controller, report)
+
+
+def _name(model) -> str:
+    """Under which the artifact's model is known."""
+    if model in SEARCHED if isinstance(model, str | None) else False:
+        return "predictive"
+    return model.upper() if isinstance(model, str) else model.name
+
+
+def _card(data: TrajectoryDataset, name: str) -> dict:
+    """What an artifact's card says beside the model."""
+    outputs, inputs = data.extremes()
+    return {"name": name, "output_names": list(data.output_names), "input_names": list(data.input_names),
+            "input_unit": data.input_unit, "rest": data.rest.tolist(), "input_range": inputs.tolist(),
+            "output_range": outputs.tolist(), "sampling_time": data.timestep,
+            "provenance": provenance() | {"data": data.provenance}}
 
 
 def _given(actuator: Actuator, recordings: Recordings) -> Identification:

@@ -100,18 +100,25 @@ def recordings_of(data: TrajectoryDataset, tracked: Sequence[int], bounds: np.nd
     if bounds.shape != (2, data.input_dim) or not (np.isfinite(bounds).all() and (bounds[0] < bounds[1]).all()):
         raise ValueError(f"bounds are {bounds.tolist()}; expected (2, {data.input_dim}) finite numbers, lowest and "
                          "highest input, lowest below highest")
-    runs = {split: [run.read() for run in data.select(split) if run.kind != "static"] for split in
-            ("train", "validation")}
-    held = [run for run in runs["validation"] if run.kind == "controlled"]
-    train = [run for run in runs["train"] + runs["validation"] if run not in held]
-    if not held:
-        controlled = [run for run in train if run.kind == "controlled"]
-        held = controlled[HELD_OUT - 1::HELD_OUT] or controlled[1:][-1:]
-        train = [run for run in train if not any(run is other for other in held)]
+    train, held = _split(data)
     found = Recordings([_piece(run) for run in train], [_piece(run) for run in held], data.timestep, bounds,
                        tuple(tracked), data.output_names, data.input_names)
     _check(found)
     return found
+
+
+def held_out(data: TrajectoryDataset) -> list[Trajectory]:
+    """The controlled runs that no fit of a design sees."""
+    return _split(data)[1]
+
+
+def _split(data: TrajectoryDataset) -> tuple[list[Trajectory], list[Trajectory]]:
+    """Runs to train on, and controlled ones held out: those for validation, or every `HELD_OUT`-th."""
+    runs = [run.read() for split in ("train", "validation") for run in data.select(split) if run.kind != "static"]
+    controlled = [run for run in runs if run.kind == "controlled"]
+    held = [run for run in controlled if run.split == "validation"] or controlled[HELD_OUT - 1::HELD_OUT] \
+        or controlled[1:][-1:]
+    return [run for run in runs if not any(run is other for other in held)], held
 
 
 def _piece(run: Trajectory) -> Piece:

@@ -39,7 +39,8 @@ class DesignReport(DataSheet):
         """Plain values, as JSON has them."""
         best, found, recordings = self.search.best, self.identification, self.recordings
         return {
-            "task": self.task, "reach": recordings.reach, "minutes": recordings.minutes,
+            "tuned": f"designed from {recordings.minutes:.2g} min of recordings", "task": self.task,
+            "reach": recordings.reach, "minutes": recordings.minutes,
             "actuator": self.identification.actuator.plain(), "actuator_error": _finite(found.error),
             "commands_error": _finite(found.plain), "model": self.model.words, "model_error": _finite(self.model.error),
             "twin": self.model.twin_words, "twin_error": _finite(self.model.twin_error),
@@ -96,13 +97,14 @@ class DesignReport(DataSheet):
             "predicted error": f"{100 * best.predicted:.3g} % of the reach",
             "against the twin": twin or "not tried"}
 
-    def save(self, folder: str | Path) -> Path:
+    def save(self, folder: str | Path, *, figures: bool = True) -> Path:
         """Write design.json, design.md and the figures; each file appears only when it is complete."""
-        from ssmr_torch.evaluation.design_figures import draw
-
-        folder = Path(folder)
+        folder, pictures = Path(folder), []
         folder.mkdir(parents=True, exist_ok=True)
-        pictures = draw(self, folder)
+        if figures:
+            from ssmr_torch.evaluation.design_figures import draw
+
+            pictures = draw(self, folder)
         text = "\n\n".join([f"# Design for {self.task}", "```\n" + repr(self) + "\n```", *self.sentences,
                             *(f"![{path.stem}]({path.name})" for path in pictures)])
         for name, content in (("design.json", json.dumps(self.facts, indent=2, allow_nan=False)), ("design.md", text)):

@@ -18,7 +18,10 @@ from ssmr_torch.controller_design.recordings import Recordings
 from ssmr_torch.controller_design.twin import CASES, LOST, WIDER, Case, Twin, recorded_motion, tracking_error
 from ssmr_torch.tasks.references import Task
 
-OF_STATES, OF_DISTURBANCE, OF_SENSOR = (1.0, 0.1, 0.01), (0.3, 1.0, 3.0, 10.0), (1.0, 4.0)
+OF_STATES, OF_SENSOR = (1.0, 0.1, 0.01), (1.0, 4.0)
+# What a disturbance may change by in a sample, of the sensors' noise. The recordings tell nothing of it: they hold no
+# payload. One over it is about the samples that the observer takes to find one.
+OF_DISTURBANCE = (0.003, 0.01, 0.03, 0.1)
 MOVES = (4.0, 40.0, 400.0, 4e3, 4e4, 4e5)
 TOLERANCE, HORIZON = 1e-3, 10
 # The input weight: this share of the move weight, so that directions which tracking leaves free settle within ten
@@ -28,16 +31,16 @@ POINTS = 4           # along the recordings, at which margins are asked for
 EXTRA_DELAY = 0.06   # s, that a loop must stand, but no more than `SHARE_OF_LOOP` of its own time
 SHARE_OF_LOOP = 3.0  # samples beyond the actuator's own delay and lag
 PEAK = 2.0           # of the sensitivity
-TRIES = 10           # designs that are tried against the twin
+TRIES = 3            # designs that are tried against the twin, for each pace of the disturbance
 FAR = 1.25           # times the least error out of reach, that a design may make there
-DRIFT = 3.0          # how much stronger the disturbance is taken to be in use than in the recordings
+DRIFT = 0.01         # of the sensors' noise: what a disturbance changes by in a sample at least, in the predicted error
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
     """One observer and its weights.   predicted: rms tracking error by the linear loop, of the reach.
     against_twin: rms tracking error by case, of the reach; infinite where it got lost.
-    factors: of the noises of the recordings: states and inputs, disturbance, sensor.
+    factors: of the noises of the recordings: states and inputs; disturbance, of the sensor; sensor.
     """
 
     factors: tuple[float, float, float]
@@ -72,7 +75,7 @@ class _Candidates:
         self.points = [Point(model, actuator, z[k], u[k], likelihood.free, acted.reach, acted.input_range,
                              acted.tracked) for k in range(POINTS)]
         self.likelihood, self.noises = likelihood, noises
-        self.truth = likelihood.observer(noises.times(disturbance=DRIFT))
+        self.truth = likelihood.observer(replace(noises, disturbance=max(noises.disturbance, DRIFT * noises.sensor)))
         own = 1 + actuator.delay + actuator.lag / actuator.timestep
         allowed = min(EXTRA_DELAY / actuator.timestep, SHARE_OF_LOOP * own)
         self.extra = max(1, int(allowed))
@@ -81,7 +84,8 @@ class _Candidates:
         found = []
         for states, disturbance, sensor in product(OF_STATES, OF_DISTURBANCE, OF_SENSOR):
             try:
-                observer = self.likelihood.observer(self.noises.times(states, states, disturbance, sensor))
+                observer = self.likelihood.observer(replace(self.noises.times(states, states, 1.0, sensor),
+                                                            disturbance=disturbance * self.noises.sensor))
             except (np.linalg.LinAlgError, ValueError):
                 continue
             for move in MOVES:
@@ -125,12 +129,7 @@ def choose_weights(chosen: ChosenModel, actuator: Actuator, acted: Recordings, l
     say(f"designs: {len(stable)} of {len(designs)} stable, {len(safe)} with all margins "
         f"({1e3 * candidates.extra * actuator.timestep:g} ms more delay, half and twice the gain, sensitivity "
         f"{PEAK:g})")
-    picked = [replace(each, predicted=candidates.predicted(each)) for each in
-              (safe or sorted(stable, key=lambda each: each.margins.shortfall(PEAK))[:TRIES])]
-    picked.sort(key=lambda each: each.predicted if safe else each.margins.shortfall(PEAK))
-    if len(picked) > TRIES:
-        half = TRIES // 2
-        picked = picked[:half] + [picked[k] for k in np.linspace(half, len(picked) - 1, TRIES - half).astype(int)]
+    picked = _picked([replace(each, predicted=candidates.predicted(each)) for each in safe or stable], bool(safe))
     trial = _Trial(chosen, actuator, acted, likelihood, noises, task, tell)
     tried = trial.all(picked)
     kept = [each for each in tried if each.against_twin and np.isfinite(list(each.against_twin.values())).any()]
@@ -141,6 +140,15 @@ def choose_weights(chosen: ChosenModel, actuator: Actuator, acted: Recordings, l
         + ", ".join(f"{name} {100 * error:.3g} %" for name, error in best.against_twin.items()))
     return WeightSearch(best, len(designs), len(stable), len(safe), candidates.extra, judged,
                         candidates.points)
+
+
+def _picked(designs: list[Design], safe: bool) -> list[Design]:
+    """The best `TRIES` of every pace of the disturbance: by predicted error where all margins hold, else by margins."""
+    def rank(design: Design) -> float:
+        return design.predicted if safe else design.margins.shortfall(PEAK)
+
+    return sorted((each for pace in OF_DISTURBANCE
+                   for each in sorted((d for d in designs if d.factors[1] == pace), key=rank)[:TRIES]), key=rank)
 
 
 def _score(design: Design) -> float:

@@ -21,9 +21,12 @@ def compiler() -> str | None:
     return next((path for path in map(shutil.which, names) if path), None)
 
 
-def compile_library(source: Path, library: Path, flags: tuple[str, ...] = FLAGS) -> str:
-    """Compile NAME.c to a shared library and return what the compiler said. Raises ValueError where it refuses."""
-    done = subprocess.run([compiler(), *flags, "-shared", "-fPIC", "-o", str(library), str(source), "-lm"],
+def compile_library(source: Path, library: Path, flags: tuple[str, ...] = FLAGS, *others: Path) -> str:
+    """Compile NAME.c, and others with it, to a shared library and return what the compiler said. Raises ValueError
+    where it refuses.
+    """
+    sources = map(str, (source, *others))
+    done = subprocess.run([compiler(), *flags, "-shared", "-fPIC", "-o", str(library), *sources, "-lm"],
                           capture_output=True, text=True)
     if done.returncode:
         raise ValueError(f"{compiler()} refuses {source.name}:\n{done.stderr[:2000]}")

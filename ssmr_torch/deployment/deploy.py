@@ -1,6 +1,7 @@
 """Deployable forms of an artifact: written aside, checked against its model, then moved into its folder `deployed`.
 
-    c       NAME.c, NAME.h                                  C99, of its arrays alone
+    c       NAME.c, NAME.h                                  C99, of its arrays alone; and of a designed controller
+            NAME_controller.c, NAME_controller.h            the observer and the actuators
     torch   encode.pt2, decode.pt2, step.pt2, step_jacobians.pt2     torch.export programs
     onnx    the same four as .onnx                          ONNX graphs, needs the extra `onnx`
     casadi  NAME_encode.casadi, and likewise the other three         casadi.Function, needs the extra `casadi`
@@ -20,7 +21,7 @@ import numpy as np
 
 from ssmr_torch import artifact
 from ssmr_torch.artifact import Artifact
-from ssmr_torch.deployment.c_library import CLibrary, compile_library, compiler
+from ssmr_torch.deployment.c_library import FLAGS, CLibrary, compile_library, compiler
 from ssmr_torch.deployment.c_source import write_c
 from ssmr_torch.deployment.c_text import identifier
 from ssmr_torch.deployment.reference import Sought, check, expected, horizon_inputs
@@ -30,6 +31,9 @@ MODULES = {"c": (), "torch": ("torch",), "onnx": ("torch", "onnx", "onnxruntime"
            "casadi": ("casadi",)}
 
 EXTRAS = {"torch": "train"}  # which extra brings the packages of a format, where it has another name
+
+
+CONTROLLER_TOLERANCE = 1e-12  # relative, over 200 samples of observer and actuators
 
 
 class Form(NamedTuple):
@@ -84,13 +88,50 @@ def _write_c(loaded: Artifact, batch: dict[str, np.ndarray], aside: Path) -> For
     name, source, header = write_c(loaded.model, loaded.card)
     (aside / f"{name}.c").write_text(source)
     (aside / f"{name}.h").write_text(header)
-    files = (f"{name}.c", f"{name}.h")
+    files, steering = [f"{name}.c", f"{name}.h"], _write_c_controller(loaded, aside)
+    if steering is not None:
+        files += [f"{name}_controller.c", f"{name}_controller.h"]
     if compiler() is None:
-        return Form("c", files, None)
+        return Form("c", tuple(files), None)
     with tempfile.TemporaryDirectory() as build:
         compile_library(aside / f"{name}.c", Path(build) / f"{name}.so")
         library = CLibrary(Path(build) / f"{name}.so", name, loaded.model)
-        return Form("c", files, check_c(library, loaded.model, batch))
+        error = check_c(library, loaded.model, batch)
+        if steering is not None:
+            error = max(error, check_c_controller(steering, aside, Path(build)))
+        return Form("c", tuple(files), error)
+
+
+def _write_c_controller(loaded: Artifact, aside: Path):
+    """The observer and the actuators of the controller that the artifact carries; None where it carries none."""
+    if loaded.designed is None:
+        return None
+    from ssmr_torch.deployment.c_controller import write_controller  # Numba, which a model alone does not need
+
+    steering = write_controller(loaded.model, loaded.card, loaded.designed)
+    if steering is not None:
+        (aside / f"{steering.name}_controller.c").write_text(steering.source)
+        (aside / f"{steering.name}_controller.h").write_text(steering.header)
+    return steering
+
+
+def check_c_controller(steering, aside: Path, build: Path) -> float:
+    """Compiled observer and actuators against the package's; the largest relative difference.
+
+    Raises ValueError, with both numbers, where it exceeds the tolerance.
+    """
+    import ctypes
+
+    from ssmr_torch.deployment.c_controller_library import CompiledController, differences
+
+    compile_library(aside / f"{steering.name}.c", build / "controller.so", FLAGS,
+                    aside / f"{steering.name}_controller.c")
+    found = differences(CompiledController(ctypes.CDLL(str(build / "controller.so")), steering), steering)
+    for what, error in zip(("the observer", "the actuators"), found):
+        if not error <= CONTROLLER_TOLERANCE:
+            raise ValueError(f"c: {what} differs from the controller's by {error:.3g} relative, more than "
+                             f"{CONTROLLER_TOLERANCE:g}; nothing was replaced. Leave this format out, or report it")
+    return max(found)
 
 
 def check_c(library: CLibrary, model, batch: dict[str, np.ndarray]) -> float:

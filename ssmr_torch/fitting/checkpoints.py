@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-from ssmr_torch import artifact
+from ssmr_torch.checkpoint_twin import save_twin
 from ssmr_torch.fitting.fit import description
 from ssmr_torch.lazy import found
 from ssmr_torch.models.torch_model import TorchModel
@@ -16,13 +16,13 @@ DECISIVE = ("data", "outputs", "model", "module", "seed")
 
 
 def save_model(path: Path, model: TorchModel, card: dict) -> Path:
-    """The fitted model alone, as `load_model` reads it; beside it what needs no Torch, see `artifact.save_twin`."""
+    """The fitted model alone, as `load_model` reads it; beside it what needs no Torch, see `save_twin`."""
     # every process of a distributed run writes the same
     aside = path.with_name(f"{path.name}.{os.getpid()}.part")
     torch.save({"model": description(model), "card": card,
                 "state_dict": {f"model.{name}": value for name, value in model.state_dict().items()}}, aside)
     os.replace(aside, path)
-    artifact.save_twin(path, model.reduced.numpy(), card)
+    save_twin(path, model.reduced.numpy(), card)
     return path
 
 

@@ -58,6 +58,28 @@ class CirclePath:
         return self.amplitude * np.stack([np.sin(theta), 1.0 - np.cos(theta)], axis=-1)
 
 
+@dataclass(frozen=True, eq=False)
+class OutAndRound:
+    """centre (2,) + r(t) (cos θ, sin θ) m: out to the radius (m) within `approach` s, round while θ = phase turns for
+    `turning` s, and back in; (K,) s → (K, 2) m.
+    """
+
+    centre: np.ndarray
+    radius: float
+    approach: float
+    turning: float
+    phase: RampedPhase
+
+    def __post_init__(self):
+        object.__setattr__(self, "centre", np.asarray(self.centre, dtype=np.float64))
+
+    def __call__(self, time: np.ndarray) -> np.ndarray:
+        out = np.clip(np.minimum(time, self.turning + 2 * self.approach - time) / self.approach, 0.0, 1.0)
+        r = self.radius * out ** 3 * (10.0 - 15.0 * out + 6.0 * out ** 2)
+        theta = self.phase(np.clip(time - self.approach, 0.0, self.turning))
+        return self.centre + r[:, None] * np.stack([np.cos(theta), np.sin(theta)], axis=-1)
+
+
 @dataclass(frozen=True)
 class RosePath:
     """a sin(p θ) (cos θ, sin θ), (K,) s → (K, 2) m."""
@@ -79,6 +101,10 @@ class Polyline:
     points: np.ndarray
     phase: Callable | None = None
 
+    def __post_init__(self):
+        object.__setattr__(self, "places", np.asarray(self.places, dtype=np.float64))
+        object.__setattr__(self, "points", np.asarray(self.points, dtype=np.float64))
+
     def __call__(self, time: np.ndarray) -> np.ndarray:
         place = time if self.phase is None else self.phase(time)
         return np.stack([np.interp(place, self.places, column) for column in self.points.T], axis=-1)
@@ -90,6 +116,10 @@ class Drift:
 
     center: np.ndarray
     velocity: np.ndarray
+
+    def __post_init__(self):
+        object.__setattr__(self, "center", np.asarray(self.center, dtype=np.float64))
+        object.__setattr__(self, "velocity", np.asarray(self.velocity, dtype=np.float64))
 
     def __call__(self, time: np.ndarray) -> np.ndarray:
         return self.center + time[:, None] * self.velocity

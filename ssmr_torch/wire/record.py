@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ssmr_torch import __version__
-from ssmr_torch.closed_loop import ClosedLoopRecord, planned_violations
+from ssmr_torch.closed_loop import ClosedLoopRecord, planned_violations, told_by
 from ssmr_torch.wire.controller_end import ControllerEnd, code_of
 from ssmr_torch.wire.messages import Code
 
@@ -28,6 +28,7 @@ def record_of(end: ControllerEnd, task, provenance: dict | None = None) -> Close
     settings = {"task": task.name, "plant": card.name, "controller": type(end.controller).__name__,
                 "period": end.controller.period, "timestep": card.timestep, "seed": end.seed, "version": __version__,
                 "wire": dict(end.counts), "real_time": card.real_time, "input_bounds": card.input_bounds.tolist()}
+    settings |= told_by(end.controller)
     return ClosedLoopRecord(
         time=time, reference=task.reference(time), observation=observation, measurement=measurement,
         input=np.stack([command.input for command in commands]),

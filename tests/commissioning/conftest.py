@@ -1,5 +1,6 @@
-"""A bench robot with its card, a short excitation, and stand-ins for what takes long: fit, design and a person."""
+"""A bench robot with its card, a short excitation, and stand-ins for what takes long: design and a person."""
 
+import json
 import sys
 from functools import partial
 from pathlib import Path
@@ -23,15 +24,26 @@ SHORT = partial(collect, decays=2, validation_decays=0, test_decays=1, decay_dur
                 progress=False)
 
 
-class Model:
-    """What a fit gives, as far as it is saved and shown."""
+class Designed:
+    """What a design gives, as far as it is saved and shown; `Loaded` is what of it is loaded."""
+
+    report = "a report"
+
+    def __init__(self, bounds, make):
+        self.bounds, self.make = bounds, make
 
     def save(self, folder):
         Path(folder).mkdir(exist_ok=True)
-        (Path(folder) / "card.json").write_text("{}")
+        (Path(folder) / "card.json").write_text(json.dumps(self.bounds.tolist()))
+        return Path(folder)
 
-    def __repr__(self):
-        return "a model"
+
+class Loaded:
+    def __init__(self, folder, make):
+        self.bounds, self.make = np.array(json.loads((Path(folder) / "card.json").read_text())), make
+
+    def controller(self, task):
+        return self.make(task, self.bounds)
 
 
 class Inverse:
@@ -78,9 +90,10 @@ def bring_up(tmp_path, card, monkeypatch):
             call.seen.append((step, text, list(faults)))
             return confirm(step, text, faults) if confirm else True
 
-        settings = {"excitation": SHORT, "fit": lambda data, kind: Model(), "rest_duration": 1.0, "laps": 1,
-                    "slow_lap": 6.0, "fast_lap": 3.0, "figures": False,
-                    "design": lambda kind, data, task, bounds: (Inverse(task, bounds), "a report")} | changes
+        make = changes.pop("controller", Inverse)
+        settings = {"excitation": SHORT, "rest_duration": 1.0, "laps": 1, "slow_lap": 6.0, "fast_lap": 3.0,
+                    "figures": False, "design": lambda kind, data, task, bounds: Designed(bounds, make),
+                    "load": lambda folder: Loaded(folder, make)} | changes
         return commission(plant, settings.pop("card", card()), tmp_path / "bench", confirm=agree, **settings)
 
     call.seen, call.directory = [], tmp_path / "bench"

@@ -1,4 +1,4 @@
-"""Commissions the robot that connects, by stand-ins for fit and design: python driver.py ADDRESS DIRECTORY."""
+"""Commissions the robot that connects, by a stand-in for the design: python driver.py ADDRESS DIRECTORY."""
 
 import json
 import sys
@@ -38,16 +38,28 @@ class Gains:
         return Command(np.maximum(pulls, 0.0))
 
 
-class Model:
+class Designed:
+    """What a design gives and, once saved, an artifact."""
+
+    report = "gains"
+
+    def __init__(self, directory, outputs):
+        self.directory, self.outputs = directory, outputs
+
     def save(self, folder):
         folder.mkdir(exist_ok=True)
+        return folder
+
+    def controller(self, task):
+        return Gains(task, self.directory, self.outputs)
 
 
 def main(address, directory):
     plant = RemotePlant(address)
     done = commission(plant, BenchCard(displacement_limit=0.05, rate_limit=2.0, tracked=["tip_x", "tip_y"]), directory,
-                      excitation=SHORT, fit=lambda data, kind: Model(), confirm="yes", laps=1, rest_duration=2.0,
-                      design=lambda kind, data, task, bounds: (Gains(task, directory, data.output_names), "gains"))
+                      excitation=SHORT, confirm="yes", laps=1, rest_duration=2.0,
+                      design=lambda kind, data, task, bounds: Designed(directory, data.output_names),
+                      load=lambda folder: Designed(directory, plant.output_names))
     plant.close()
     print(len(done), "steps")
 

@@ -26,7 +26,7 @@ def test_a_robot_goes_from_its_card_to_a_fast_circle_and_all_is_recorded(bring_u
     assert {path.name for path in bring_up.directory.iterdir()} >= set(FILES)
     assert not list(bring_up.directory.rglob("*.part")) and not (bring_up.directory / "collected").exists()
     report = (bring_up.directory / "commissioning.md").read_text()
-    assert "9 of 9 steps" in report and "| left |" in report and "RMSE" in report
+    assert "8 of 8 steps" in report and "| left |" in report and "RMSE" in report
     answers = json.loads((bring_up.directory / "steps.json").read_text())["answers"]
     assert [answer["delay_s"] for answer in answers] == pytest.approx([0.02, 0.02], abs=0.011)
     record = ClosedLoopRecord.load(bring_up.directory / "slow_circle.h5")
@@ -35,7 +35,7 @@ def test_a_robot_goes_from_its_card_to_a_fast_circle_and_all_is_recorded(bring_u
     # each step is shown with what comes next before it is confirmed
     assert [step for step, *_ in bring_up.seen] == list(STEPS)
     for (_, text, _), following in zip(bring_up.seen, STEPS[1:]):
-        assert "Next, " in text and "It stops beyond 50 mm" in text or following in ("check", "fit", "design")
+        assert "Next, " in text and "It stops beyond 50 mm" in text or following in ("check", "design")
 
 
 def test_what_is_declined_is_measured_again_and_what_was_confirmed_is_not(bring_up, robot):
@@ -97,7 +97,7 @@ def test_a_stop_in_the_recordings_keeps_the_run_marked_and_goes_on_with_smaller_
     bounds = []
     bring_up_again = bring_up.directory / "progress.json"
     entries = json.loads(bring_up_again.read_text())
-    entries["confirmed"] = entries["confirmed"][:6]
+    entries["confirmed"] = entries["confirmed"][:5]
     bring_up_again.write_text(json.dumps(entries))
 
     def design(kind, data, task, within):
@@ -123,7 +123,7 @@ def test_a_loop_that_goes_wild_is_stopped_led_back_and_not_confirmed(bring_up, r
     plant = robot()
     limits = card(displacement_limit=0.022)
     with pytest.raises(SafetyStop, match="displacement_limit of 22 mm"):
-        bring_up(plant, card=limits, design=lambda *_: (Wild(), "wild"))
+        bring_up(plant, card=limits, controller=lambda *_: Wild())
     np.testing.assert_array_equal(plant.commands[-1], 0.0)
     assert np.abs(np.diff(plant.commands[-90:], axis=0)).max() < 0.011  # by a ramp of 1 s
     assert TrajectoryDataset.load(bring_up.directory / "stopped" / "slow_circle-1.h5").provenance["stopped"]
@@ -223,5 +223,5 @@ def test_the_command_shows_each_step_and_says_how_to_go_on(tmp_path, monkeypatch
     assert command.main() == 0
     said = capsys.readouterr().out
     assert "cable_+x is reversed: it moves +tip_x, expected -tip_x" in said
-    assert "2 of 9 steps are confirmed; the same command with hydra.run.dir=" in said
+    assert "2 of 8 steps are confirmed; the same command with hydra.run.dir=" in said
     assert (tmp_path / "bench" / "commissioning.md").is_file() and (tmp_path / "bench" / "steps.svg").is_file()

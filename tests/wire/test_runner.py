@@ -83,6 +83,28 @@ def test_the_runner_steers_as_one_process_does_without_torch_scipy_hydra_and_the
     assert f"run 1: {len(record.time)} samples, {{}}" in said
 
 
+@pytest.mark.parametrize("own_task", [True, False], ids=["the design's task", "a task of the settings"])
+def test_the_runner_uses_the_controller_that_the_artifact_carries(by_hand, bench, tmp_path, own_task):
+    designed, plant, applied = by_hand(), bench.ModelPlant(bench.oscillators()), []
+    designed.card = designed.card | {"rest": [0.0] * 6, "input_names": list(plant.input_names)}
+    designed.save(tmp_path / "artifact")
+    more, task = [], designed.task
+    if not own_task:
+        rose = {"_target_": "ssmr_torch.tasks.references.rose", "amplitude": 0.003, "laps": 0.2, "ramp": 0.3,
+                "tracked": ["y0", "y1"]}
+        (tmp_path / "task.json").write_text(json.dumps({"task": rose}))
+        more, task = ["--settings", tmp_path / "task.json"], runner.build(rose)
+    step = plant.step
+    plant.step = lambda u: (applied.append(np.array(u)), step(u))[1]
+    command = [*without(*ABSENT), tmp_path / "artifact", *more, "--bind", "tcp://127.0.0.1:*", "--runs", "1"]
+    with process(*command) as (running, address), RobotLink(address) as link:
+        RobotEnd(plant, link).drive(wait=60.0)
+        _, complained = running.communicate(timeout=60)
+    assert running.returncode == 0, complained
+    record = simulate(bench.ModelPlant(bench.oscillators()), designed.changed(task), task)
+    np.testing.assert_allclose(applied[:-1], record.input[:-1], atol=1e-7)
+
+
 @pytest.mark.parametrize("tolerance", [float("nan"), -1e-3])
 def test_a_tolerance_that_no_number_is_within_is_refused(shipped, tolerance):
     with pytest.raises(ValueError, match="rest_tolerance is .* m; expected a finite number, 0 or more"):
@@ -115,11 +137,12 @@ def test_settings_that_name_something_else_are_refused(settings, what):
 @pytest.mark.parametrize(("arguments", "what"), [
     ([], "give the directory of an artifact"), (["nowhere"], "no artifact at nowhere"),
     (["{shipped}", "--settings", "nowhere.json"], "nowhere.json"),
-    (["{shipped}", "--bind", "nonsense"], "cannot wait at 'nonsense'"),
-    (["{shipped}", "--timeout", "-1"], "two positive times"),
+    (["{shipped}"], "the artifact carries no designed controller; run ssmr design data.path=FILE.h5"),
+    (["{shipped}", "--settings", "{settings}", "--bind", "nonsense"], "cannot wait at 'nonsense'"),
+    (["{shipped}", "--settings", "{settings}", "--timeout", "-1"], "two positive times"),
 ])
-def test_bad_input_ends_in_one_message(shipped, arguments, what, capsys):
-    assert runner.main([argument.format(shipped=shipped) for argument in arguments]) == 1
+def test_bad_input_ends_in_one_message(shipped, settings, arguments, what, capsys):
+    assert runner.main([argument.format(shipped=shipped, settings=settings) for argument in arguments]) == 1
     assert what in capsys.readouterr().err
 
 
@@ -133,7 +156,7 @@ def test_a_letter_in_a_font_says_what_to_install_where_fonttools_is_missing(ship
     assert done.stderr == "runner: fontTools is not installed: pip install 'ssmr_torch[plots]'\n"
 
 
-@pytest.mark.parametrize("text", ["{", "[]", '{"task": {}}'])
+@pytest.mark.parametrize("text", ["{", "[]", '{"other": {}}'])
 def test_a_settings_file_that_is_none_is_refused(shipped, tmp_path, text, capsys):
     (tmp_path / "settings.json").write_text(text)
     assert runner.main([str(shipped), "--settings", str(tmp_path / "settings.json")]) == 1

@@ -1,0 +1,90 @@
+"""Objects as JSON: a `_target_` names the class or function, beside it stand its arguments."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from functools import partial
+from importlib import import_module
+from math import isfinite, isnan
+
+import numpy as np
+
+ROOMS = ("ssmr_torch.control.", "ssmr_torch.tasks.")
+
+
+def build(settings: dict, *arguments, packages: Sequence[str] = (), **more):
+    """Call what `_target_` names with its arguments and these.
+
+    packages: whose contents the settings may name beside control and tasks; a file must not decide which code runs.
+    Raises ValueError for a target or a solver elsewhere, for one that is not there, and for unknown arguments.
+    """
+    target = settings.get("_target_") if isinstance(settings, dict) else None
+    _refuse_elsewhere("_target_", target, packages)
+    solver = settings.get("qp")
+    if isinstance(solver, str) and ":" in solver and not solver.startswith("qpsolvers:"):
+        _refuse_elsewhere("qp", solver.replace(":", "."), packages)
+    module, _, name = target.rpartition(".")
+    try:
+        function = getattr(import_module(module), name)
+    except (ModuleNotFoundError, AttributeError) as error:
+        raise ValueError(f"cannot have {target}: {error}") from error
+    given = {key: _built(value, packages) for key, value in settings.items() if not key.startswith("_")}
+    try:
+        return function(*arguments, **given, **more)
+    except TypeError as error:
+        raise ValueError(f"{target} does not take {given}: {error}") from error
+
+
+def _refuse_elsewhere(what: str, target, packages: Sequence[str]) -> None:
+    rooms = (*ROOMS, *(f"{package}." for package in packages))
+    if not isinstance(target, str) or not target.startswith(rooms):
+        raise ValueError(f"the settings name {target!r} as {what}; expected something in {' or '.join(rooms)}, or in a "
+                         "package that --package names")
+
+
+def _built(value, packages: Sequence[str]):
+    """Settings within settings: an observer, which the controller itself completes, or obstacles."""
+    if isinstance(value, list):
+        return [_built(part, packages) for part in value]
+    if not (isinstance(value, dict) and "_target_" in value):
+        return value
+    made = partial(build, value, packages=packages)
+    return made if value.get("_partial_") else made()
+
+
+def written(value, what: str = "the value"):
+    """A value as JSON that `build` makes it of again, to the last bit; an infinite number as text.
+
+    Dataclasses, partial objects and classes are named by `_target_`, arrays and tuples are lists.
+    Raises ValueError, with where in `what` it stands, for a NaN and for what has no name: a lambda, a function made
+    inside another one, a class outside of `ROOMS`.
+    """
+    if isinstance(value, (np.ndarray, np.generic)):
+        value = value.tolist()
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, float):
+        if isnan(value):
+            raise ValueError(f"{what} is not a number; expected one that is")
+        return value if isfinite(value) else str(value)
+    if isinstance(value, (list, tuple)):
+        return [written(part, f"{what}[{k}]") for k, part in enumerate(value)]
+    if isinstance(value, Mapping):
+        return {str(key): written(part, f"{what}.{key}") for key, part in value.items()}
+    if isinstance(value, partial) and value.func is build and value.args:
+        return value.args[0]  # what it was built of
+    if isinstance(value, partial) and not value.args:
+        return {"_target_": _named(value.func, what), "_partial_": True, **written(value.keywords, what)}
+    if is_dataclass(value) and not isinstance(value, type):
+        return {"_target_": _named(type(value), what),
+                **{field.name: written(getattr(value, field.name), f"{what}.{field.name}") for field in fields(value)}}
+    return {"_target_": _named(value, what), "_partial_": True}
+
+
+def _named(thing, what: str) -> str:
+    name = f"{getattr(thing, '__module__', None)}.{getattr(thing, '__qualname__', '<locals>')}"
+    if "<" in name or not name.startswith(ROOMS):
+        raise ValueError(f"{what} is {thing!r}, which a file cannot name; expected numbers, texts, or something at the "
+                         f"top of a module in {' or '.join(ROOMS)}")
+    return name
