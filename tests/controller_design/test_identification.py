@@ -1,7 +1,7 @@
 """Claims about what is told of the actuators: delay, lag, play, cable friction, and none where there is none."""
 
 import pytest
-from oscillators import H, MIXED, PULL, SIGNED, Oscillators, recordings
+from oscillators import MIXED, PULL, SIGNED, H, Oscillators, recordings
 
 from ssmr_torch.controller_design.identification import LAGS, identify, in_words
 from ssmr_torch.controller_design.recordings import recordings_of
