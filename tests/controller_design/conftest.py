@@ -78,7 +78,7 @@ def exact():
         likelihood = Likelihood(model, recorded)
         actuator = Actuator(H, tuple(recorded.input_range.tolist()), delay=delay, lag=lag)
         chosen = Weights(horizon, 1e-3, 0.04, move)
-        observer = likelihood.observer(Noises(0.02, 3e-3, 1e-3, 1e-3))
+        observer = likelihood.observer(Noises(2e-3, 3e-4, 3e-5, 1e-3))
         settings = settings_of(chosen, observer, actuator, recorded, likelihood)
 
         def controller(task, **changes):

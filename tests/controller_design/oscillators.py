@@ -38,7 +38,8 @@ class Oscillators:
     Its sensors see y, and dy/dt / ω as well: the state, so that nothing of a past input is hidden in it.
     cubic: c, 1/m²; without it the samples are exact.   of_inputs, of_sensor: deviations of the noises, of half the
     range and in m.   gain: (m,) of what acts.   hangs: (6,) m, by which all measurements are displaced.
-    scale: of the inputs and their bounds, as in another unit.   pace: of ω.   damping: ζ.   Other settings are those of the `Actuators`.
+    scale: of the inputs and their bounds, as in another unit.   pace: of ω.   damping: ζ.
+    Other settings are those of the `Actuators`.
     """
 
     timestep, name, input_unit = H, "oscillators", "N"
