@@ -117,7 +117,7 @@ def readjustment(controller, records, *, expected: float | None = None, fixed_fr
     pieces = [_piece(record, controller) for record in records]
     _check(pieces, controller)
     tracked = controller.task.columns(records[0].output_names)
-    reach = float(max(np.linalg.norm(piece.observation[:, list(tracked)], axis=1).max() for piece in pieces))
+    reach = float(max(np.nanmax(np.linalg.norm(piece.observation[:, list(tracked)], axis=1)) for piece in pieces))
     search = _Search(controller.model, pieces, tracked, reach)
     best = begin = controller.actuator.actuator
     most = begin.delay + MORE_DELAY
