@@ -23,8 +23,10 @@ from ssmr_torch.controller_design.predictive import Form, Regression, Scaled, ch
 from ssmr_torch.controller_design.recordings import recordings_of  # noqa: E402
 
 DELAY, LAG, OF_SENSOR, OF_INPUTS = 2, 0.04, 3e-5, 0.002
-FEWER = ((weights, "TRIES", 2), (weights, "POINTS", 2), (twin, "SECONDS", 2.0), (noises, "EVALUATIONS", 60),
-         (noises, "PRECISE", 40), (model_choice, "STATES", (8, 12)), (model_choice, "WINDOWS", (2, 3)))
+FEWER = ((weights, "TRIES", 1), (weights, "POINTS", 2), (weights, "OF_STATES", (1.0, 0.1)),
+         (weights, "OF_DISTURBANCE", (0.01, 0.1)), (weights, "MOVES", (4.0, 40.0, 4e3)), (twin, "SECONDS", 2.0),
+         (noises, "EVALUATIONS", 60), (noises, "PRECISE", 40), (model_choice, "STATES", (8, 12)),
+         (model_choice, "WINDOWS", (2, 3)))
 
 
 @contextmanager
@@ -68,9 +70,8 @@ def designed(short_design, robot, data, task):
 
 @pytest.fixture(scope="session")
 def exact():
-    """Of a linear robot without noise: recordings, the model that has its six states as outputs, and a controller.
-
-    `exact(bounds, horizon, delay, lag)` → recordings, model, likelihood, actuator, weights, observer, controller(task).
+    """Of a linear robot without noise: its recordings, the model that has its six states as outputs, likelihood,
+    actuator, weights, observer, and `controller(task, …)` with these.
     """
     def made(robot, *, delay=0, lag=0.0, horizon=6, move=4.0):
         recorded = recordings_of(recordings(robot, runs=3, seconds=10.0, test=0), (0, 1), robot.input_bounds)

@@ -42,14 +42,14 @@ class Told:
         return self.z.copy(), None, self.d.copy()
 
 
-def after_random_steps(case, rng, steps=12):
+def after_random_steps(case, rng, steps=4):
     """[s, d, v_{−1}] in the point's units after some steps of the controller, and its next v_0."""
     told, span, reach, rest = Told(), case.recordings.input_range, case.recordings.reach, at_rest(case.model)
     controller = case.controller(STILL, observer=lambda model, input_range: told, **PLAIN)
     actuators = Actuators(case.recordings.bounds, np.zeros(2), DELAY, LAG)
     last = np.zeros(2)
     for k in range(steps + 1):
-        told.z, told.d = rest + 4e-3 * rng.standard_normal(6) * case.model.state_scale, 5e-5 * rng.standard_normal(6)
+        told.z, told.d = rest + 4e-4 * rng.standard_normal(6) * case.model.state_scale, 5e-6 * rng.standard_normal(6)
         before = np.concatenate([told.z, actuators.acts / span, np.ravel(actuators.late / span), told.d / reach,
                                  last / span])
         last = controller(k * H, np.zeros(6)).input

@@ -36,7 +36,7 @@ def test_with_a_perfect_model_and_no_noise_next_to_nothing_is_missed(case, motio
 
 
 def test_with_a_perfect_model_the_rest_of_the_error_is_that_of_the_noise(case, motion):
-    """A filter sees less than the noise of one sample, √2 σ in two outputs; ten times the noise, ten times the error."""
+    """A filter lets less through than a sample has, √2 σ in two outputs; ten times the noise costs ten times as much."""
     alone, ten = error(case, motion, SILENT), replace(SENSOR, sensor=10 * SENSOR.sensor)
     of_noise, of_more = (np.sqrt(error(case, motion, noises)**2 - alone**2) for noises in (SENSOR, ten))
     assert 0.05 * SENSOR.sensor < of_noise < np.sqrt(2) * SENSOR.sensor
@@ -72,7 +72,7 @@ def test_a_loop_that_runs_away_is_counted_as_lost(case, motion):
 
 
 def test_a_loop_that_is_far_off_for_a_moment_is_not_lost(case):
-        still = ssmr.tasks.path([0.0, 4.0], [[0.0, 0.0], [0.0, 0.0]], ["x", "y"])
+    still = ssmr.tasks.path([0.0, 4.0], [[0.0, 0.0], [0.0, 0.0]], ["x", "y"])
     def pushed(seconds):
         push = Given(lambda time: [float(2.0 <= time < 2.0 + seconds), 0.0])
         return error(case, still, SILENT, controller=push)
