@@ -68,6 +68,13 @@ class DisturbanceObserver:
         self._gate = InnovationGate()
         self.reset()
 
+    def __getstate__(self) -> dict:
+        return {name: value for name, value in vars(self).items() if name != "_step"}
+
+    def __setstate__(self, state: dict) -> None:
+        vars(self).update(state)
+        self._step = stepper(self.model)  # compiled for this process
+
     def reset(self) -> None:
         self.counts: Counter[str] = Counter()
         self.forget()

@@ -62,7 +62,7 @@ class ModelPredictiveController(DataSheet):
             raise TypeError(f"model is a {type(model).__name__}, settings a {type(settings).__name__}; "
                             "expected a model, as ssmr_torch.load returns it, and PredictiveControlSettings")
         settings = (PredictiveControlSettings() if settings is None else settings).changed(**changes)
-        output_names = _seen(model, output_names)
+        self.output_names = output_names = _seen(model, output_names)
         self.model, self.task, self.settings = model.reduced.numpy(), task, settings
         model = self.model
         self.timestep = float(model.window_timestep if timestep is None else timestep)
