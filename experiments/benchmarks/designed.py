@@ -85,6 +85,10 @@ def choice(arguments: list[str]) -> Choice:
     return Choice(Path(folder), **({"recordings": Path(folder)} | read))
 
 
+class NoDesign(Exception):
+    """A run that has no controller, with the reason, which was told when the design failed."""
+
+
 class Results:
     """Rows by their key, in a file that is complete at any time."""
 
@@ -106,7 +110,8 @@ class Results:
             try:
                 row = make()
             except Exception as error:  # what a design or a loop raises is a result, and the others go on
-                traceback.print_exc()
+                if not isinstance(error, NoDesign):
+                    traceback.print_exc()
                 row = {"raised": f"{type(error).__name__}: {error}"}
             self.add(key, row | {"wall": round(perf_counter() - began, 1)})
             print(key, tables.in_words(self.rows[key]), flush=True)
@@ -157,7 +162,7 @@ class Bench:
             self.results.rows.pop(key, None)
         row = self.results.once(key, make)
         if "raised" in row:
-            raise ValueError(f"no design: {row['raised']}")
+            raise NoDesign(row["raised"])
         return pickle.loads(file.read_bytes())
 
     def controller(self, kind: str, condition: Condition, told: str, task) -> ModelPredictiveController:
