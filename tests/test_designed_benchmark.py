@@ -1,4 +1,4 @@
-"""The pieces of the benchmark of designed controllers: what disturbs a plant, what is drawn, what a run is judged by."""
+"""The pieces of the benchmark of designed controllers: disturbed plants, what is drawn, what runs are judged by."""
 
 import importlib
 import json

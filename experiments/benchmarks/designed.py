@@ -43,7 +43,7 @@ from ssmr_torch.evaluation.metrics import closed_loop_metrics, integral_squared_
 from ssmr_torch.trajectory import TrajectoryDataset
 
 PARTS = ("nominal", "far", "disturbed", "models")
-MODELS = ("ssmr", "sssr", "ssmr_control_augmented", "edmd_bilinear", "dmd", "slow_fast")
+MODELS = ("auto", "ssmr", "sssr", "ssmr_control_augmented", "edmd_bilinear", "dmd", "slow_fast")
 SEED_OF_OPERATION = 1000           # of the run that a controller is readjusted by, which no evaluated run has
 SETTLING, APPROACH = 1.0, 2.0      # s, after which errors count
 LOST, PATIENCE = 0.05, 0.3         # of the reach beyond the static floor, for so many s on end: the loop is lost
