@@ -4,11 +4,11 @@ The plane. The first output is the one with the largest span in the training and
 that is least a function of the first: of which a quadratic regression on the first, over all these samples, leaves the
 largest residual (rms). The tip of a planar robot moves along a curve, so that its height would be no second output.
 
-The static reach. A decay begins where constant inputs have held the robot for a second; these points are what the
-recordings show to be held at rest. In the coordinates (first output, residual of the second) they span a box, midpoint
-and half widths; a path at 40 % fills 40 % of that box, per axis, about its midpoint. Controlled runs go further by
-overshoot, and the corners of the box need not be held: `ssmr.rehearse(controller).floor` says which part of a path is
-out of reach at rest.
+The static reach. A decay begins where constant inputs have held the robot for a second; these points, and rest itself,
+are what the recordings show to be held. In the coordinates (first output, residual of the second) they have a mean and
+per axis half of a range; a path at 40 % goes from the mean 40 % of that far, per axis. Of all five foreign robots such
+paths lie within the convex hull of the points, to 1 % of the box; further out `rehearse` says what is out of
+reach (`ssmr.rehearse(controller).floor`). Controlled runs go further by overshoot.
 
 The reach, of which errors are shares: largest displacement of the two outputs in these runs, as in a design.
 """
@@ -32,8 +32,8 @@ LEAST_DECAYS = 4
 
 @dataclass(frozen=True)
 class Plane:
-    """outputs: the two.   bend (3,): second ≈ bend · (1, first, first²).   centre, half (2,) m: of the box of (first,
-    residual) that was held at rest.   reach: m.
+    """outputs: the two.   bend (3,): second ≈ bend · (1, first, first²).   centre, half (2,) m: mean and half
+    ranges of (first, residual) where it was held at rest.   reach: m.
     """
 
     outputs: tuple[str, str]
@@ -68,9 +68,9 @@ def plane_of(data: TrajectoryDataset) -> Plane:
     left[first] = -1.0
     second = int(np.argmax(left))
     box = np.stack([held[:, first], held[:, second] - _powers(held[:, first]) @ bends[:, second]], axis=1)
-    low, high = box.min(axis=0), box.max(axis=0)
+    box = np.concatenate([box, [[0.0, -bends[0, second]]]])
     return Plane((data.output_names[first], data.output_names[second]), tuple(bends[:, second].tolist()),
-                 tuple((0.5 * (low + high)).tolist()), tuple((0.5 * (high - low)).tolist()),
+                 tuple(box.mean(axis=0).tolist()), tuple((0.5 * np.ptp(box, axis=0)).tolist()),
                  float(np.linalg.norm(seen[:, [first, second]], axis=1).max()))
 
 
