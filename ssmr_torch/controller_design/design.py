@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import replace
 from time import perf_counter
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from ssmr_torch.controller_design.model_choice import (
     acting_dataset,
     choose_predictive,
     horizon_error,
+    least_error,
     spectral_radii,
 )
 from ssmr_torch.controller_design.noises import Likelihood
@@ -30,6 +32,7 @@ from ssmr_torch.controller_design.weights import choose_weights
 from ssmr_torch.trained_model import TrainedModel
 from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 
+DISBELIEF = 1.2      # times the error without an actuator: one with which the best model misses by more is not believed
 LOOPS = 240          # steps of the bar: designs whose margins are looked at, and loops against the twin
 
 
@@ -68,7 +71,7 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
     say = print if progress else lambda line: None
     with _bar(shown) as tell:
         found = _given(identified, recordings) if identified else identify(recordings, say=say)
-        acted = recordings.under(found.actuator)
+        found, acted = _believed(found, recordings, say)
         chosen = _chosen(model, data, acted, found.actuator, say)
         likelihood = Likelihood(chosen.model, acted)
         noises = likelihood.most_likely(say=say)
@@ -85,6 +88,20 @@ def _given(actuator: Actuator, recordings: Recordings) -> Identification:
         raise ValueError(f"the actuator has {len(actuator.input_range)} inputs and steps of {actuator.timestep:g} s; the "
                          f"recordings {recordings.input_dim} and {recordings.timestep:g} s")
     return Identification(actuator, np.nan, np.nan, {}, {}, {})
+
+
+def _believed(found: Identification, recordings: Recordings, say) -> tuple[Identification, Recordings]:
+    """The actuator, unless the best of all models predicts worse with it: then commands act as they are."""
+    acted = recordings.under(found.actuator)
+    if found.actuator.trivial or np.isnan(found.error):
+        return found, acted
+    errors = [least_error(each) for each in (acted, recordings)]
+    if errors[0] <= DISBELIEF * errors[1]:
+        return found, acted
+    say(f"the actuator is not believed: the best model misses held-out runs by {100 * errors[0]:.3g} % of the reach with "
+        f"it, by {100 * errors[1]:.3g} % without")
+    none = Actuator(recordings.timestep, found.actuator.input_range)
+    return replace(found, actuator=none, error=found.plain), recordings
 
 
 def _chosen(model, data: TrajectoryDataset, acted: Recordings, actuator: Actuator,

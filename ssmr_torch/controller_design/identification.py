@@ -40,7 +40,7 @@ class Identification:
 
 
 class _Search:
-    """Errors of a bilinear model of few coordinates, whose chart sees no past inputs: with them it would hide a lag."""
+    """Errors of a linear or bilinear model of few coordinates, whose chart sees no past inputs: with them it would hide a lag."""
 
     def __init__(self, recordings: Recordings):
         self.scaled = Scaled(recordings, FUTURE, ROWS)
@@ -55,8 +55,9 @@ class _Search:
             acted = self.scaled.under(actuator)
             form = self.form
             regression = Regression(acted, chart(acted, form.keep, form.window, False), form)
-            table = regression.dynamics(2, form.ridge)
-            self.errors[actuator] = held_error(regression.errors(table, STEPS), self.columns)
+            # a bilinear model may explode where a linear one does not: then that one judges
+            self.errors[actuator] = min(held_error(regression.errors(regression.dynamics(degree, form.ridge), STEPS),
+                                                   self.columns) for degree in (1, 2))
         return self.errors[actuator]
 
     def least(self, candidates) -> Actuator:

@@ -60,6 +60,11 @@ def choose_predictive(acted: Recordings, *, say: Callable[[str], None] = lambda 
                        other[0].words, found)
 
 
+def least_error(acted: Recordings) -> float:
+    """Held-out error of the best predictive model, of the reach."""
+    return _tried(Scaled(acted, FUTURE))[0][1]
+
+
 def _tried(scaled: Scaled) -> list[tuple[Form, float]]:
     recordings, found = scaled.recordings, []
     p, m = recordings.output_dim, recordings.input_dim
