@@ -135,16 +135,19 @@ def test_a_drawing_goes_from_rest_through_the_shape_and_stands_still_at_the_end(
 def record_of(error, task, bench):
     time = 0.01 * np.arange(len(error))
     return SimpleNamespace(time=time, error=error, solve_time=np.full(len(error), 1e-3), reference=np.zeros_like(error),
-                           observation=error, tracked=(0, 1), fallback=np.zeros(len(error), dtype=bool),
+                           observation=error, tracked=(0, 1), input=np.zeros((len(error), 1)),
+                           fallback=np.zeros(len(error), dtype=bool),
                            provenance={"period": 0.01})
 
 
 def test_a_loop_is_lost_when_it_is_far_beyond_the_static_floor_for_a_third_of_a_second(benchmark, bench):
-    measured = benchmark("designed").measured
-    task, controller = SimpleNamespace(duration=4.0, obstacles=()), SimpleNamespace(counts={"gated": 3})
+    measured = benchmark("judgement").measured
+    task, controller = SimpleNamespace(duration=4.0, obstacles=()), SimpleNamespace(
+        counts={"gated": 3}, input_bounds=np.array([[0.0], [1.0]]))
     error = np.full((401, 2), 1e-3 / np.sqrt(2))
     row = measured(record_of(error, task, bench), task, controller, 0.1, None)
     assert row["rmse"] == pytest.approx(1e-3) and not row["lost"] and row["counts"] == {"gated": 3}
+    assert row["at a bound"] == 1.0
     error[200:229, 0] = 0.02
     assert not measured(record_of(error, task, bench), task, controller, 0.1, None)["lost"]
     error[200:231, 0] = 0.02

@@ -33,21 +33,18 @@ from time import perf_counter
 import designed_tables as tables
 import numpy as np
 import torch
+from judgement import finite, measured
 from robots_under_test import NOMINAL, NOT_TOLD, ROBOTS, Condition, Robot, robot_named
 
 import ssmr_torch as ssmr
 from ssmr_torch.closed_loop import simulate
 from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.controller_design.readjustment import readjusted, readjustment
-from ssmr_torch.evaluation.metrics import closed_loop_metrics, integral_squared_error
 from ssmr_torch.trajectory import TrajectoryDataset
 
 PARTS = ("nominal", "far", "disturbed", "models")
 MODELS = ("auto", "ssmr", "sssr", "ssmr_control_augmented", "edmd_bilinear", "dmd", "slow_fast")
 SEED_OF_OPERATION = 1000           # of the run that a controller is readjusted by, which no evaluated run has
-SETTLING, APPROACH = 1.0, 2.0      # s, after which errors count
-LOST, PATIENCE = 0.05, 0.3         # of the reach beyond the static floor, for so many s on end: the loop is lost
-OUT_OF_REACH = 0.01                # of the reach: a static floor above it
 
 
 @dataclass
@@ -118,7 +115,7 @@ class Results:
         return self.rows[key]
 
 
-class Bench:
+class Trial:
     """One robot: its recordings, designs and runs."""
 
     def __init__(self, robot: Robot, chosen: Choice, results: Results):
@@ -147,23 +144,17 @@ class Bench:
     def designed(self, kind: str, condition: Condition, task) -> tuple:
         """Model and settings for the task's outputs, designed from recordings under this condition; kept."""
         key = f"{self.robot.name}/design/{kind}/{condition.name}/{'-'.join(map(str, task.tracked))}"
-        file = self.chosen.folder / "designs" / f"{key.replace('/', ' ')}.pkl"
 
-        def make() -> dict:
+        def make() -> tuple[dict, tuple]:
             data = self.recorded(condition)
             model = ssmr.fit(data, purpose="control", progress=False) if kind == "slow_fast" else kind
             controller, report = ssmr.design(model, data, task, self.bounds, progress=False)
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(pickle.dumps((controller.model, controller.settings)))
-            file.with_suffix(".txt").write_text("\n".join([repr(report), "", *report.sentences]) + "\n")
-            return {"design": report.facts}
+            page = self.chosen.folder / "designs" / f"{key.replace('/', ' ')}.txt"
+            page.parent.mkdir(parents=True, exist_ok=True)
+            page.write_text("\n".join([repr(report), "", *report.sentences]) + "\n")
+            return {"design": report.facts}, (controller.model, controller.settings)
 
-        if not file.is_file():
-            self.results.rows.pop(key, None)
-        row = self.results.once(key, make)
-        if "raised" in row:
-            raise NoDesign(row["raised"])
-        return pickle.loads(file.read_bytes())
+        return self._kept(key, make)
 
     def controller(self, kind: str, condition: Condition, told: str, task) -> ModelPredictiveController:
         """For this task, and for the robot under the condition as far as the controller is told of it."""
@@ -172,7 +163,7 @@ class Bench:
             try:
                 found = self.designed(kind, condition if told == "designed" else NOMINAL, task)
                 if told == "readjusted":
-                    found = self._readjusted(kind, condition, found)
+                    found = self._readjusted(kind, condition, found, task)
             except Exception as error:  # once is enough for all tasks
                 found = error
             self._controllers[known] = found
@@ -184,15 +175,35 @@ class Bench:
         return ModelPredictiveController(model, task, self.bounds, settings, timestep=self.nominal.timestep,
                                          output_names=self.nominal.output_names)
 
-    def _readjusted(self, kind: str, condition: Condition, found: tuple) -> tuple:
-        task = self.robot.operation(self.plane)
-        working = self._built(*found, task)
-        record = simulate(self.plant(condition), working, task, seed=SEED_OF_OPERATION)
-        answer = readjustment(working, record)
-        self.results.add(f"{self.robot.name}/readjustment/{kind}/{condition.name}",
-                         {"accepted": bool(answer.accepted), "words": answer.words})
-        changed = readjusted(working, answer)
-        return changed.model, changed.settings
+    def _readjusted(self, kind: str, condition: Condition, found: tuple, task) -> tuple:
+        """Model and settings after one run of operation on the changed robot; kept."""
+        key = f"{self.robot.name}/readjustment/{kind}/{condition.name}/{'-'.join(map(str, task.tracked))}"
+
+        def make() -> tuple[dict, tuple]:
+            working = self._built(*found, self.robot.operation(self.plane))
+            record = simulate(self.plant(condition), working, working.task, seed=SEED_OF_OPERATION)
+            answer = readjustment(working, record)
+            changed = readjusted(working, answer)
+            return {"accepted": bool(answer.accepted), "words": answer.words}, (changed.model, changed.settings)
+
+        return self._kept(key, make)
+
+    def _kept(self, key: str, make) -> tuple:
+        """What `make` gives beside a row, in a file; both are made once. Raises NoDesign where that fails."""
+        file = self.chosen.folder / "designs" / f"{key.replace('/', ' ')}.pkl"
+
+        def write() -> dict:
+            row, found = make()
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(pickle.dumps(found))
+            return row
+
+        if not file.is_file():
+            self.results.rows.pop(key, None)
+        row = self.results.once(key, write)
+        if "raised" in row:
+            raise NoDesign(row["raised"])
+        return pickle.loads(file.read_bytes())
 
     def floor(self, kind: str, task) -> dict:
         """What the model says of the task before the run, once."""
@@ -242,47 +253,6 @@ class Bench:
             and (not self.chosen.told or told in self.chosen.told)
 
 
-def finite(value: float) -> float | None:
-    """The value as JSON has it: None where it is not finite."""
-    return float(value) if np.isfinite(value) else None
-
-
-def measured(record, task, controller, reach: float, floor: list | None) -> dict:
-    """Errors of a run, m: rms after 1 s and after the approach, there also where the path is within static reach; ISE,
-    m²; lost: whether it was further away than `LOST` beyond the floor for `PATIENCE`; fallbacks, counts, times, s.
-    """
-    error = np.linalg.norm(record.error, axis=1)
-    late = record.time >= APPROACH
-    least = np.zeros_like(error) if floor is None else np.interp(
-        record.time, np.linspace(0.0, task.duration, len(floor)), floor)
-    within = late & (least <= OUT_OF_REACH * reach)
-    beyond = ~(error[record.time >= SETTLING] - least[record.time >= SETTLING] <= LOST * reach)
-    run = longest(beyond) * (record.time[1] - record.time[0])
-    row = {"reach": reach, "rmse after 1 s": rms(error[record.time >= SETTLING]), "rmse": rms(error[late]),
-           "rmse within": rms(error[within]), "within": float(within.sum() / late.sum()), "lost": bool(run >= PATIENCE),
-           "counts": {name: int(count) for name, count in controller.counts.items()}}
-    if np.isfinite(error).all():
-        found = closed_loop_metrics(record, task.obstacles)
-        row |= {name: found[name] for name in ("ise", "max_error", "fallbacks", "solve_time_median", "solve_time_p99")}
-        row |= {name: found[name] for name in ("violation_ratio", "max_violation") if name in found}
-        row |= {"slowest step": float(np.nanmax(record.solve_time)),
-                "static ise": integral_squared_error(record.time, least[:, None], np.zeros_like(least)[:, None])}
-    return row
-
-
-def rms(error: np.ndarray) -> float | None:
-    return finite(np.sqrt(np.square(error).mean())) if len(error) else None
-
-
-def longest(marked: np.ndarray) -> int:
-    """The longest run of marks on end."""
-    most = count = 0
-    for each in marked:
-        count = count + 1 if each else 0
-        most = max(most, count)
-    return most
-
-
 def main(arguments: list[str] | None = None) -> None:
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     warnings.filterwarnings("ignore")
@@ -291,7 +261,7 @@ def main(arguments: list[str] | None = None) -> None:
     results = Results(chosen.folder / "results.json")
     for name in chosen.robots:
         robot = robot_named(name)
-        Bench(robot, chosen, results).all()
+        Trial(robot, chosen, results).all()
         page = tables.page(robot, results.rows)
         (chosen.folder / f"{name}.md").write_text(page)
         print(page, flush=True)

@@ -53,8 +53,8 @@ def _what(robot, ise: bool) -> str:
 def _table(rows: dict[tuple, dict], ise: bool) -> str:
     """Rows by model, condition and told; columns by task."""
     tasks = list(dict.fromkeys(key[3] for key in rows))
-    lines = [["model", "condition", "told", *tasks, "worst after 1 s", "lost", "fallbacks", "step, ms: median",
-              "99 %", "slowest"]]
+    lines = [["model", "condition", "told", *tasks, "worst after 1 s", "lost", "fallbacks", "at a bound",
+              "step, ms: median", "99 %", "slowest"]]
     for head in dict.fromkeys(key[:3] for key in rows):
         mine = {key: row for key, row in rows.items() if key[:3] == head}
         cells = [_cell([row for key, row in mine.items() if key[3] == task], ise) for task in tasks]
@@ -89,6 +89,7 @@ def _totals(rows: list[dict]) -> list[str]:
                                                                           "slowest step")]
     return [f"{sheet.number(100 * worst, 3)} %", f"{lost} of {len(rows)}",
             f"{sum(row.get('fallbacks', 0) for row in run):g}",
+            f"{100 * max((row.get('at a bound', 0.0) for row in run), default=0.0):.0f} %",
             *(sheet.number(each(numbers), 3) if numbers else "" for each, numbers in zip((np.median, max, max), times))]
 
 
