@@ -1,12 +1,13 @@
 """Controllers designed from recordings alone, on robots and disturbances that no default was made on, as tables.
 
     python experiments/benchmarks/designed.py FOLDER [robots=tendon_chain,bench] [parts=nominal,disturbed] [seeds=5]
-        [models=auto] [conditions=payload,…] [recordings=FOLDER]
+        [models=auto] [conditions=payload,noise_×_3] [told=not_told] [tasks=letter,2.5] [recordings=FOLDER]
 
 No run that is evaluated was seen by a design: `ssmr.design` gets the recording of five minutes, the tracked outputs and
 the bounds, and its defaults. One design serves all tasks that track the same outputs.
 
-robots: see `robots_under_test.py`; all by default. Recordings lie in FOLDER/ROBOT/trajectories.h5, or in `recordings`,
+robots: see `robots_under_test.py`; all by default. tasks: those with one of these in their names. In names of
+conditions _ stands for a blank. Recordings lie in FOLDER/ROBOT/trajectories.h5, or in `recordings`,
 and are made where they are missing.
 parts: nominal (40 % of the static reach, slow and fast); far (70 and 100 %); disturbed, where the robot is not the one
 that was recorded: by `not told` the controller is the nominal one, by `readjusted` it was readjusted after one fast
@@ -73,6 +74,8 @@ def choice(arguments: list[str]) -> Choice:
         raise SystemExit(f"{__doc__}\nnot understood: {', '.join(wrong) or 'the folder is missing'}; known are "
                          f"{', '.join(known)}")
     read = {name: value.split(",") if known[name] is list else known[name](value) for name, value in given.items()}
+    for name in ("conditions", "told"):
+        read[name] = [each.replace("_", " ") for each in read.get(name, [])]
     unknown = set(read.get("robots", [])) - set(ROBOTS) | set(read.get("parts", [])) - set(PARTS)
     if unknown:
         raise SystemExit(f"unknown: {', '.join(sorted(unknown))}; robots are {', '.join(ROBOTS)}, parts "
