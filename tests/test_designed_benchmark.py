@@ -143,7 +143,7 @@ def record_of(error, task, bench):
 def test_a_loop_is_lost_when_it_is_far_beyond_the_static_floor_for_a_third_of_a_second(benchmark, bench):
     measured = benchmark("judgement").measured
     task, controller = SimpleNamespace(duration=4.0, obstacles=()), SimpleNamespace(
-        counts={"gated": 3}, input_bounds=np.array([[0.0], [1.0]]))
+        counts={"gated": 3}, fallbacks={}, input_bounds=np.array([[0.0], [1.0]]))
     error = np.full((401, 2), 1e-3 / np.sqrt(2))
     row = measured(record_of(error, task, bench), task, controller, 0.1, None)
     assert row["rmse"] == pytest.approx(1e-3) and not row["lost"] and row["counts"] == {"gated": 3}

@@ -20,7 +20,7 @@ def in_words(row: dict) -> str:
         return ", ".join(f"{name} {row[name]}" for name in ("out of reach", "fastest", "words") if name in row)
     return f"{share(row['rmse'], row)} of the reach after the approach, {share(row['rmse after 1 s'], row)} after 1 s" \
         + (f", ISE {1e6 * row['ise']:.4g} mm²" if "ise" in row else "") + (", LOST" if row["lost"] else "") \
-        + (f", {row['fallbacks']:g} fallbacks" if row.get("fallbacks") else "")
+        + (f", fallbacks {row['reasons']}" if row.get("reasons") else "")
 
 
 def share(error: float | None, row: dict) -> str:

@@ -31,7 +31,8 @@ def measured(record, task, controller, reach: float, floor: list | None) -> dict
     row = {"reach": reach, "rmse after 1 s": rms(error[record.time >= SETTLING]), "rmse": rms(error[late]),
            "rmse within": rms(error[within]), "within": float(within.sum() / late.sum()), "lost": bool(run >= PATIENCE),
            "at a bound": at_a_bound(record.input, controller.input_bounds),
-           "counts": {name: int(count) for name, count in controller.counts.items()}}
+           "counts": {name: int(count) for name, count in controller.counts.items() if count},
+           "reasons": {getattr(reason, "name", str(reason)): count for reason, count in controller.fallbacks.items()}}
     if np.isfinite(error).all():
         found = closed_loop_metrics(record, task.obstacles)
         row |= {name: found[name] for name in ("ise", "max_error", "fallbacks", "solve_time_median", "solve_time_p99")}
