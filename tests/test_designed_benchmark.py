@@ -154,6 +154,7 @@ def test_a_loop_is_lost_when_it_is_far_beyond_the_static_floor_for_a_third_of_a_
     assert measured(record_of(error, task, bench), task, controller, 0.1, None)["lost"]
     row = measured(record_of(error, task, bench), task, controller, 0.1, [0.02, 0.02, 0.02])
     assert not row["lost"] and row["within"] == 0.0 and row["rmse within"] is None
+    assert measured(record_of(error, task, bench), task, controller, 0.1, [np.inf, 0.0, 0.0])["floor unknown"] == 1 / 3
     error[300:] = np.nan
     row = measured(record_of(error, task, bench), task, controller, 0.1, None)
     assert row["lost"] and row["rmse"] is None and "ise" not in row

@@ -101,8 +101,10 @@ def _listed(kind: str, rows: dict[tuple, dict]) -> str:
             lines.append(f"- {name}: {row.get('words') or in_words(row)}")
         elif kind == "rehearsal":
             held = ", ".join(f"{which} {100 * part:.3g} %" for which, part in row["held"].items())
+            known = [each for each in row["floor"] if np.isfinite(each)]
             lines.append(f"- {name}: {100 * row['out of reach']:.3g} % out of reach at rest, at most "
-                         f"{1e3 * max(row['floor']):.3g} mm; fastest {row['fastest']} times; at bounds: "
+                         f"{1e3 * max(known, default=np.inf):.3g} mm, and {len(row['floor']) - len(known)} of "
+                         f"{len(row['floor'])} points at which the model does not rest; fastest {row['fastest']} times; at bounds: "
                          f"{held or 'none'}")
         else:
             lines.append(f"- {name}: {_design(row['design'])}")

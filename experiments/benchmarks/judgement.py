@@ -8,7 +8,7 @@ from ssmr_torch.evaluation.metrics import closed_loop_metrics, integral_squared_
 
 SETTLING, APPROACH = 1.0, 2.0  # s, after which errors count
 LOST, PATIENCE = 0.05, 0.3     # of the reach beyond the static floor, for so many s on end: the loop is lost
-OUT_OF_REACH = 0.01            # of the reach: a static floor above it
+OUT_OF_REACH = 1e-3            # of the reach: a static floor above it
 
 
 def finite(value: float) -> float | None:
@@ -23,13 +23,15 @@ def measured(record, task, controller, reach: float, floor: list | None) -> dict
     """
     error = np.linalg.norm(record.error, axis=1)
     late = record.time >= APPROACH
-    least = np.zeros_like(error) if floor is None else np.interp(
-        record.time, np.linspace(0.0, task.duration, len(floor)), floor)
+    floor = np.array([0.0] if floor is None else floor)
+    known = np.isfinite(floor)  # the model did not come to rest elsewhere: no excuse is made
+    least = np.interp(record.time, np.linspace(0.0, task.duration, len(floor)), np.where(known, floor, 0.0))
     within = late & (least <= OUT_OF_REACH * reach)
     beyond = ~(error[record.time >= SETTLING] - least[record.time >= SETTLING] <= LOST * reach)
     run = longest(beyond) * (record.time[1] - record.time[0])
     row = {"reach": reach, "rmse after 1 s": rms(error[record.time >= SETTLING]), "rmse": rms(error[late]),
-           "rmse within": rms(error[within]), "within": float(within.sum() / late.sum()), "lost": bool(run >= PATIENCE),
+           "rmse within": rms(error[within]), "within": float(within.sum() / late.sum()),
+           "floor unknown": float((~known).mean()), "lost": bool(run >= PATIENCE),
            "at a bound": at_a_bound(record.input, controller.input_bounds),
            "counts": {name: int(count) for name, count in controller.counts.items() if count},
            "reasons": {getattr(reason, "name", str(reason)): count for reason, count in controller.fallbacks.items()}}
