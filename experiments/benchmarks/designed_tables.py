@@ -104,8 +104,8 @@ def _listed(kind: str, rows: dict[tuple, dict]) -> str:
             known = [each for each in row["floor"] if np.isfinite(each)]
             lines.append(f"- {name}: {100 * row['out of reach']:.3g} % out of reach at rest, at most "
                          f"{1e3 * max(known, default=np.inf):.3g} mm, and {len(row['floor']) - len(known)} of "
-                         f"{len(row['floor'])} points at which the model does not rest; fastest {row['fastest']} times; at bounds: "
-                         f"{held or 'none'}")
+                         f"{len(row['floor'])} points where the model does not rest; fastest {row['fastest']} times; "
+                         f"at bounds: {held or 'none'}")
         else:
             lines.append(f"- {name}: {_design(row['design'])}")
     return "\n".join(lines)
