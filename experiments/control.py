@@ -11,11 +11,10 @@ from omegaconf import OmegaConf
 from ssmr_torch.experiments.entry import entry_point, save_json, save_result
 
 
-def margins(config, loaded, task) -> dict:
-    """What the model missed on the held-out runs of config.residuals, or on all where none is marked test."""
-    if config.residuals is None:
-        return {}
-    from ssmr_torch.control.tightening import prediction_margins
+def tighten(config, loaded, controller) -> None:
+    """Tighten by what the controller misses on the held-out runs of config.residuals, or all where none is marked test.
+    """
+    from ssmr_torch.control.tightening import tightened
     from ssmr_torch.trajectory import TrajectoryDataset
 
     if config.controller.get("margins", ()) is not None:
@@ -23,12 +22,8 @@ def margins(config, loaded, task) -> dict:
                          "controller.margins null")
     dataset = TrajectoryDataset.load(config.residuals).observing(loaded.card["output_names"])
     runs = dataset.select(kind="controlled")
-    held_out = [run.read() for run in [run for run in runs if run.split == "test"] or runs]
-    found = prediction_margins(loaded.model, held_out, task.columns(dataset.output_names),
-                               horizon=config.controller.horizon, period=config.controller.period,
-                               quantile=config.quantile)
-    print("margins: " + ", ".join(f"{1e3 * margin:.3g}" for margin in found) + " mm")
-    return {"margins": found}
+    tightened(controller, [run.read() for run in [run for run in runs if run.split == "test"] or runs], config.quantile)
+    print("margins: " + ", ".join(f"{1e3 * margin:.3g}" for margin in controller.settings.margins) + " mm")
 
 
 def bench(config, loaded):
@@ -49,7 +44,9 @@ def main(config, directory):
     plant = bench(config, loaded)
     artifact.check_source(loaded, plant)
     controller = instantiate(config.controller)(loaded.model, task, plant.input_bounds, timestep=plant.timestep,
-                                                output_names=plant.output_names, **margins(config, loaded, task))
+                                                output_names=plant.output_names)
+    if config.residuals is not None:
+        tighten(config, loaded, controller)
     origin = provenance(OmegaConf.to_container(config, resolve=True)) | {"model": loaded.card["name"],
                                                                          "artifact": loaded.card["sha256"]}
     with instantiate(config.view)(task, plant, directory) if config.view else nullcontext() as watch:

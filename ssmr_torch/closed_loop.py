@@ -17,7 +17,8 @@ from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.evaluation.metrics import SETTLING_TIME, max_tracking_error, tracking_rmse
 from ssmr_torch.periods import whole_multiple
 
-ARRAYS = ("time", "reference", "observation", "measurement", "input", "fallback", "solve_time", "iterations")
+ARRAYS = ("time", "reference", "observation", "measurement", "input", "fallback", "solve_time", "iterations",
+          "violation")
 FORMAT = "ssmr_torch closed loop 1"
 PATIENCE = 3.0  # s that a run may take before a bar shows how far it is
 
@@ -30,7 +31,9 @@ class ClosedLoopRecord(DataSheet):
     truly was; measurement (T, p) m, what the controller saw of it, NaN where a sample was missing; input (T, m),
     commanded from time[k] to time[k+1]. fallback (T,) whether the controller fell back; statuses (T,) name of the
     Status, empty where nothing was decided; solve_time (T,) s of CPU time that the controller took, which other work on
-    the machine does not lengthen, and iterations (T,) programs solved; NaN and 0 where an input was held.
+    the machine does not lengthen, and iterations (T,) programs solved; NaN and 0 where an input was held. violation
+    (T,) m: the largest of the constraints that the plan foresaw, margins included; NaN where nothing was planned under
+    constraints, and everywhere in records that know none.
     """
 
     time: np.ndarray
@@ -47,8 +50,11 @@ class ClosedLoopRecord(DataSheet):
     input_names: tuple[str, ...]
     input_unit: str = "N"
     provenance: dict = field(default_factory=dict)
+    violation: np.ndarray | None = None
 
     def __post_init__(self):
+        if self.violation is None:
+            object.__setattr__(self, "violation", np.full(len(self.time), np.nan))
         for name in ("statuses", "tracked", "output_names", "input_names"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         lengths = {name: len(getattr(self, name)) for name in (*ARRAYS, "statuses")}
@@ -113,7 +119,7 @@ class ClosedLoopRecord(DataSheet):
             card = json.loads(file.attrs.get("card", "{}"))
             if card.get("format") != FORMAT:
                 raise ValueError(f"{path} is of format {card.get('format')!r}; expected {FORMAT!r}")
-            arrays = {name: file[name][:] for name in ARRAYS}
+            arrays = {name: file[name][:] for name in ARRAYS if name in file or name != "violation"}
             statuses = tuple(file["statuses"].asstr()[:])
         return cls(**arrays, statuses=statuses, tracked=card["tracked"], output_names=card["output_names"],
                    input_names=card["input_names"], input_unit=card["input_unit"],
@@ -180,7 +186,12 @@ def _record(plant, task, time, observation, measurement, commands, durations, pr
         iterations=np.array([0 if command.plan is None else command.plan.iterations for command in commands]),
         statuses=tuple(_status(command) for command in commands), tracked=task.columns(plant.output_names),
         output_names=plant.output_names, input_names=plant.input_names, input_unit=plant.input_unit,
-        provenance=provenance)
+        provenance=provenance, violation=planned_violations(commands))
+
+
+def planned_violations(commands) -> np.ndarray:
+    """(T,) m, see `ClosedLoopRecord`."""
+    return np.array([np.nan if command.plan is None else command.plan.violation for command in commands])
 
 
 def _status(command) -> str:

@@ -16,6 +16,7 @@ class Status(Enum):
     RESIDUAL_TOO_LARGE = "the solver claims success but the recomputed residuals disagree; tighten its tolerance"
     NOT_DESCENDING = "the line search found no lower cost; the linearization does not describe the model here"
     OUT_OF_RANGE = "the state lies far outside the model's training data; wait for it to return or train on wider data"
+    SOFTENED = "no input keeps the hard constraints; the step violates them by as little as possible"
     WRONG_TIME = "the call brings no new sample: its time is not finite or that of the last one; check the clock"
     FROZEN_SENSOR = "the measurement has not changed by a bit while the input did; check the sensor and its connection"
 

@@ -93,3 +93,18 @@ def test_endurance_says_whether_memory_grew(benchmark, monkeypatch, capsys):
     growing = iter(range(100))
     monkeypatch.setattr(endurance, "memory", lambda: float(next(growing)))
     assert endurance.main(["--steps", "10"]) == 1
+
+
+def test_letters_among_circles_are_judged_between_samples_and_said_in_one_line(benchmark):
+    step, obstacles = benchmark("control_step"), benchmark("obstacles")
+    plant = step.ModelPlant(step.oscillators(), np.array([[0.0] * 4, [1.2] * 4]))
+    found = []
+    for seed in range(2):
+        task = obstacles.letters(seed, 0.010, 5.0, (0, 1))
+        controller = obstacles.designed(plant.model, plant, task, [], observer=None, margins=[1e-4] * 5)
+        found.append(obstacles.outcome(seed, plant, controller, task, 0.0))
+    assert max(one.depth for one in found) < 1e-4 and max(one.inside for one in found) < 5e-3
+    assert all(one.rmse < 4e-3 and one.fallbacks == 0 for one in found)
+    bad = found[0]._replace(depth=2e-3, inside=0.1)
+    assert obstacles.summary([found[1]._replace(depth=0.0, inside=0.0), bad]).startswith(
+        "2 sets: 1 violated; inside 5 % of the time, at most 10 %; deepest 2 mm;")

@@ -55,7 +55,7 @@ def track(model, plant=None, *, speed=4.0, laps=3, noise=NOISE, **settings):
     plant = SlowManifold() if plant is None else plant
     task = figure_eight(amplitude=0.015, angular_speed=speed, laps=laps, tracked=("tip_x", "tip_y"))
     controller = ModelPredictiveController(model, task, plant.input_bounds, timestep=plant.timestep,
-                                           output_names=plant.output_names, **{"input_weight": 100.0} | settings)
+                                           output_names=plant.output_names, **settings)
     return simulate(plant, controller, task, noise_std=noise)
 # --8<-- [end:track]
 
@@ -71,7 +71,7 @@ def unrest(record):
 
 
 # --8<-- [start:weights]
-WEIGHTS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1e3, 3e3, 1e4)  # 1/N²
+WEIGHTS = (3.0, 10.0, 30.0, 100.0, 300.0, 1e3, 3e3, 1e4, 3e4)  # of inputs in units of their range
 OBSERVERS = {"chart": None, "kalman": partial(KalmanObserver, disturbance="none", extended=True),
              "output disturbance": partial(KalmanObserver, disturbance="output"),
              "input disturbance": partial(KalmanObserver, disturbance="input")}
@@ -132,7 +132,7 @@ def draw_settings(weighed, ahead, observed):
     for (name, records), (colour, marker, line) in zip(weighed.items(), looks):
         weight.loglog(list(records), [MM * error(r) for r in records.values()], line, marker=marker, markersize=4,
                       color=colour, label=name)
-    weight.set(xlabel="input weight (1/N²)", ylabel="RMSE (mm)")
+    weight.set(xlabel="input weight", ylabel="RMSE (mm)")
     steps = list(ahead)
     horizon.semilogx(steps, [MM * error(r) for r in ahead.values()], "^-", color=METHODS["EDMD"][0], markersize=4,
                    label="RMSE (mm)")
@@ -171,7 +171,7 @@ def draw_weights(records):
     shown = slice(200, 400)
     for (weight, record), colour in zip(records.items(), looks):
         path = MM * record.observation[shown, list(record.tracked)[0]], MM * record.observation[shown, 1]
-        plane.plot(*path, color=colour, label=f"{weight:g} /N²")
+        plane.plot(*path, color=colour, label=f"weight {weight:g}")
         force.step(record.time[shown], record.input[shown, 0], where="post", color=colour, linewidth=0.9)
     plane.plot(*MM * record.reference[shown].T, METHODS["reference"][1], color="black", linewidth=0.9,
                label="reference")
@@ -195,11 +195,11 @@ def main(directory=FIGURES, quick=False):
     logging.getLogger("lightning.pytorch.utilities.rank_zero").setLevel(logging.WARNING)
     warnings.filterwarnings("ignore", ".*LeafSpec|.*does not have many workers|.*Checkpoint directory")
     model = learn()
-    weighed = weigh(model, (1.0, 100.0, 1e4) if quick else WEIGHTS)
+    weighed = weigh(model, (3.0, 300.0, 3e4) if quick else WEIGHTS)
     ahead = look_ahead(model, (1, 2, 5) if quick else (1, 2, 3, 5, 10, 20))
     observed, delayed = observe(model), late(model)
     figures.save(draw_settings(weighed, ahead, observed), Path(directory) / "tutorial_mpc_settings.svg")
-    few = {weight: weighed["noise"][weight] for weight in (1.0, 100.0, 1e4)}
+    few = {weight: weighed["noise"][weight] for weight in (3.0, 300.0, 3e4)}
     figures.save(draw_weights(few), Path(directory) / "tutorial_mpc_weights.svg")
     return numbers(weighed, ahead, observed, delayed)
 

@@ -51,7 +51,7 @@ class Contender(ABC):
         self.n, self.m, self.columns = model.state_dim, model.input_dim, list(task.columns())
         self._samples_per_step = round(PERIOD / model.timestep)
         self.input_scale = bounds[1] - bounds[0]
-        self.cost_scale = float(np.min(INPUT_WEIGHT * self.input_scale**2))
+        self.cost_scale = float(INPUT_WEIGHT)
         self.fallbacks = Counter()
 
     def start(self) -> None:
@@ -127,7 +127,7 @@ class CasADi(Contender):
             gaps.append(step(z, v * self.input_scale) / self.model.state_scale - s)
             z = s * self.model.state_scale
             error = self._output(z) - target[:, k]
-            cost += OUTPUT_WEIGHT * ca.sumsqr(error) + INPUT_WEIGHT * ca.sumsqr(v * self.input_scale)
+            cost += OUTPUT_WEIGHT * ca.sumsqr(error) + INPUT_WEIGHT * ca.sumsqr(v)
         cost = cost / self.cost_scale
         x, p, g = ca.vertcat(*unknowns), ca.vertcat(start, ca.vec(target)), ca.vertcat(*gaps)
         scale, multipliers = kind.sym("scale"), kind.sym("multipliers", N * n)
@@ -205,7 +205,8 @@ class Acados(Contender):
         ocp.model.f_expl_expr = ca.cse(ca.vertcat(*self.model.rate(entries(z), entries(u))))
         tracked = self.model.parametrization[-self.model.output_dim:][self.columns]
         q = len(tracked)
-        Q, R = OUTPUT_WEIGHT / self.cost_scale * np.eye(q), INPUT_WEIGHT / self.cost_scale * np.eye(self.m)
+        Q, R = OUTPUT_WEIGHT * np.eye(q), INPUT_WEIGHT * np.diag(self.input_scale**-2.0)
+        Q, R = Q / self.cost_scale, R / self.cost_scale
         cost, constraints, options = ocp.cost, ocp.constraints, ocp.solver_options
         cost.cost_type_0 = cost.cost_type = cost.cost_type_e = "LINEAR_LS"
         # acados multiplies the cost of every stage but the last by its duration.

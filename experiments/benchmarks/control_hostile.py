@@ -22,6 +22,8 @@ import numpy as np
 from control_scaling import SAMPLES, among_circles, window_model
 from control_step import BOUNDS, ModelPlant, machine, oscillators, perturbed, predictive
 
+from ssmr_torch.control.actuator import Actuator
+from ssmr_torch.control.disturbance_observer import DisturbanceObserver
 from ssmr_torch.control.lqr import StaticPregainController
 from ssmr_torch.control.observers import KalmanObserver
 from ssmr_torch.models.named_structures import koopman
@@ -66,12 +68,21 @@ def _steers(model: Callable = oscillators, circles: int = 0, **changes) -> Calla
     return lambda: predictive(model(), task, BOUNDS, **changes)
 
 
+WATCH = partial(DisturbanceObserver, gain=np.vstack([0.3 * np.eye(6), 0.02 * np.eye(6)]), limit=0.05, lost=0.01,
+                covariance=1e-8 * np.eye(6))
+# what a designed controller has
+DESIGNED = {"period": TIMESTEP, "horizon": 10, "move_weight": 300.0, "input_weight": 20.0, "huber": 5e-3,
+            "approach": 0.5, "observer": WATCH}
+
 KINDS = {
     "SSMR on the chart": _steers(),
     "SSMR, horizon 10, rate": _steers(horizon=10, input_rate=5.0),
     "SSMR, late measurements": _steers(measurement_delay=0.02),
     "SSMR, Kalman": _steers(observer=partial(KalmanObserver, disturbance="output")),
     "SSMR, extended Kalman": _steers(observer=partial(KalmanObserver, disturbance="input", extended=True)),
+    "SSMR, actuator": _steers(**DESIGNED, actuator=Actuator(TIMESTEP, (0.6,) * 4, delay=2, lag=0.02)),
+    "SSMR, rubbing actuator, rate": _steers(**DESIGNED, input_rate=5.0, actuator=Actuator(
+        TIMESTEP, (0.6,) * 4, delay=1, lag=0.01, friction=0.05, play=0.02)),
     "SSMR, rate": _steers(input_rate=5.0),
     "SSMR, rate, daqp": _steers(input_rate=5.0, qp="daqp"),
     "SSMR, 20 circles, rate": _steers(circles=20, input_rate=5.0),
@@ -80,7 +91,7 @@ KINDS = {
     "DMD": _steers(partial(window_model, 18)),
     "DMD, Kalman": _steers(partial(window_model, 18), observer=partial(KalmanObserver, disturbance="output")),
     "EDMD": _steers(lifted_model),
-    "static pregain": lambda: StaticPregainController(pregain_model(), SLOW, BOUNDS, input_weight=1e5),
+    "static pregain": lambda: StaticPregainController(pregain_model(), SLOW, BOUNDS, input_weight=3.6e4),
 }
 
 

@@ -22,8 +22,8 @@ from ssmr_torch.models.named_structures import spectral_submanifold
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.tasks.references import figure_eight
 
-# The paper's weights: 100 per mm² and 1e-5 per mN².
-PAPER = PredictiveControlSettings(output_weight=1e8, input_weight=10.0, first_iterations=3)
+# The paper's weights: 100 per mm², and 1e-5 per mN² of inputs up to 0.6 N.
+PAPER = PredictiveControlSettings(output_weight=1e8, input_weight=3.6, first_iterations=3)
 RANGE = 0.02
 BOUNDS = np.array([[0.0] * 4, [0.6] * 4])
 
@@ -104,8 +104,8 @@ def measure(horizon: int, laps: float = 6.0, build=predictive, model=None, task=
 
     build(model, task, BOUNDS, horizon=horizon) → the controller, which counts its `fallbacks`.   model, task: default
     the oscillators and the fast figure eight of so many laps; the plant is always the perturbed oscillators.
-    cost: mean of ‖y − ŷ‖²_Q + ‖u‖²_R over the control steps, with the plant's true outputs.   clearance: the smallest
-    from an obstacle at a control step, mm; infinite without one.
+    cost: mean of ‖y − ŷ‖²_Q + ‖u / range‖²_R over the control steps, with the plant's true outputs.   clearance: the
+    smallest from an obstacle at a control step, mm; infinite without one.
     """
     task = figure_eight(laps=laps) if task is None else task
     plant = ModelPlant(perturbed(oscillators(), 0.03))
@@ -127,10 +127,11 @@ def measure(horizon: int, laps: float = 6.0, build=predictive, model=None, task=
             controller.prepare()
         observation = plant.step(command.input)
     saturated, squares = np.isclose(inputs, BOUNDS[1]).mean(), np.mean(np.sum(np.square(errors), axis=1))
+    effort = np.mean(np.sum(np.square(inputs / np.ptp(BOUNDS, axis=0)), axis=1))
     return {"N": horizon, "steps": len(cpu), "cpu": 1e3 * np.array(cpu), "wall": 1e3 * np.array(wall),
             "failures": sum(controller.fallbacks.values()), "saturated": saturated, "rmse": 1e3 * np.sqrt(squares),
             "clearance": 1e3 * clearance,
-            "cost": PAPER.output_weight * squares + PAPER.input_weight * np.mean(np.sum(np.square(inputs), axis=1))}
+            "cost": PAPER.output_weight * squares + PAPER.input_weight * effort}
 
 
 def machine(*libraries: str) -> str:

@@ -65,7 +65,7 @@ def commission(plant: Plant, card: BenchCard | str | Path, directory: str | Path
     plant: any `Plant`, such as `plants.RemotePlant`.   card: a `BenchCard`, or the file of one.
     excitation: (plant, directory=, workers=) → dataset; None: excitation=five_minutes of the configuration.
     confirm: "ask", "yes", or (step, text, faults) → bool; False ends the call, and the step is not recorded as done.
-    design: (kind, data, task, bounds) → (controller, report); None: `ssmr_torch.controller_design`.   fit: (data, kind) → model
+    design: (kind, data, task, bounds) → (controller, report); None: `ssmr_torch.design`.   fit: (data, kind) → model
     with `save(folder)`; None: `ssmr_torch.fit`.   changes: of the settings, by name.
 
     Returns the names of the confirmed steps; all is done when these are STEPS. Raises ValueError for a card that does

@@ -27,9 +27,10 @@ class Actuator(Settings):
     [Kaneko et al., ICRA 1991].
 
     timestep: h, s.   input_range: (m,), highest minus lowest input.
-    delay: samples; that of the sensors is in it.   lag: s, of the first order.   play: half of its width, of
-    the input range.   friction: μθ, 1.   rate: input ranges per s; None: no limit.   ease: of
-    the play's width, within which the command crosses it in proportion: with less, noise would hammer.   gain: (m,) 1; None: one.   offset: (m,), of the input range; None: zero.
+    delay: samples; that of the sensors is in it.   lag: s, of the first order.   play: half of its width, of the input
+    range.   friction: μθ, 1.   rate: input ranges per s; None: no limit.   ease: of the play's width, within which the
+    command crosses it in proportion: with less, noise would hammer.
+    gain: (m,) 1; None: one.   offset: (m,), of the input range; None: zero.
     Raises ValueError for numbers that make no sense.
     """
 
@@ -46,6 +47,8 @@ class Actuator(Settings):
 
     def __post_init__(self):
         self._set("timestep", positive("timestep", self.timestep, "s"))
+        if np.ndim(self.input_range) != 1:
+            raise ValueError(f"input_range of an actuator is {self.input_range}; expected one number for each input")
         self._set("delay", whole("delay", self.delay, least=0))
         for name, unit in (("lag", "s"), ("play", ""), ("friction", "")):
             self._set(name, non_negative(name, getattr(self, name), unit))
@@ -124,7 +127,8 @@ class Actuator(Settings):
             return np.array(wanted, dtype=np.float64)
         width = self.ease * (self._half + self.friction * np.abs(wanted)) + LEAST_WIDTH * self._range
         push = np.clip((wanted - held) / width, -1.0, 1.0)
-        return wanted * np.exp(self.friction * push * np.sign(wanted)) + push * self._half
+        pulled = wanted + push * self._half
+        return pulled * np.exp(self.friction * push * np.sign(pulled))
 
     def reachable(self, bounds: np.ndarray) -> np.ndarray:
         """Bounds (2, m) of what can be transmitted from either side under commands within bounds (2, m)."""

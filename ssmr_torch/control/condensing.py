@@ -160,10 +160,11 @@ def continues(reference, former, tolerance):
 
 
 @compiled
-def output_rows(Y, outputs, v, normals, offsets, length):
-    """Rows C (N r, N m) and lower bounds (N r,) of normalᵀ (y + Y Δv) ≥ offset, in units of `length`, over v + Δv.
+def output_rows(Y, v, normals, weights, lacking, length):
+    """Rows C (N r, N m) and lower bounds (N r,) of normalᵀ Σ_j weights_j Y_j Δv ≥ lacking, in units of `length`, over
+    v + Δv.
 
-    normals (N, r, p), offsets (N, r) m; a row without an obstacle has offset −∞.
+    normals (N, r, p), weights (N, r, N), lacking (N, r) m; a row without an obstacle lacks −∞.
     """
     N, r, p = normals.shape
     size = Y.shape[2]
@@ -171,15 +172,15 @@ def output_rows(Y, outputs, v, normals, offsets, length):
     for k in range(N):
         for i in range(r):
             row = k * r + i
-            bound = offsets[k, i]
-            for o in range(p):
-                a = normals[k, i, o]
-                if a != 0.0:
-                    bound -= a * outputs[k, o]
-                    for j in range(size):
-                        C[row, j] += a * Y[k, o, j] / length
-            moved = bound / length
-            for j in range(size):
-                moved += C[row, j] * v[j]
+            for j in range(N):
+                if weights[k, i, j] != 0.0:
+                    for o in range(p):
+                        a = weights[k, i, j] * normals[k, i, o] / length
+                        if a != 0.0:
+                            for column in range(size):
+                                C[row, column] += a * Y[j, o, column]
+            moved = lacking[k, i] / length
+            for column in range(size):
+                moved += C[row, column] * v[column]
             lower[row] = moved
     return C, lower

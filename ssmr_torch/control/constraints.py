@@ -1,4 +1,4 @@
-"""Soft constraints on the outputs over the horizon: a box, half-planes, and the nearest circles."""
+"""Constraints on the outputs over the horizon, between its steps too: a box, half-planes, and the nearest circles."""
 
 from __future__ import annotations
 
@@ -6,45 +6,63 @@ import numpy as np
 
 # circles that a stage looks at
 NEAREST = 3
+# points of the predicted path at which a control step is looked at, its end the last of them
+PARTS = 2
+# A hard constraint's linear penalty is multiplied by these, one after the other, until the program needs no slack.
+HEAVIER = (1e2, 1e4)
 
 
 class OutputConstraints:
-    """lower ≤ y ≤ upper, normalᵀ y ≤ offset, ‖y − c(t)‖ ≥ radius for y_1 … y_N, each as far as possible:
+    """lower ≤ y ≤ upper, normalᵀ y ≤ offset, ‖y − c(t)‖ ≥ radius along the predicted path, each as far as possible:
 
-        penalty = Σ over stages and constraints of  linear · s + quadratic · s²,   s = max(0, violation) in m,
+        penalty = Σ over points and constraints of  linear · s + quadratic · s²,   s = max(0, violation) in m,
 
-    exact where `linear` exceeds what tracking gains by a violation. Circles enter the quadratic program as the
-    half-plane that touches them at the point next to the present prediction, at the stage that they constrain, and as
-    the `NEAREST` ones only; the penalty counts all of them.
+    exact where `linear` exceeds what tracking gains by a violation. The path starts at y_0 with the velocity there,
+    which no input can change, and goes through y_1 … y_N; each stage is looked at in `PARTS` points (`path_weights`).
+    The straight piece of length l between two of them stays out of a circle where both keep √(radius² + l²/4) from its
+    center: so far is kept, with the longer of the pieces at a point.
+    Circles enter the quadratic program as the half-plane that touches them at the place next to the present prediction,
+    at the time of the point, and as the `NEAREST` ones of each stage only; the penalty counts all of them. What keeps
+    that half-plane keeps out of the circle.
 
     columns: the tracked outputs, in which the obstacles lie; obstacles: with `clearance(time, outputs)`, circles with
     `centers(time)`, `center` (callable where it moves) and `radius`, half-planes with `normal` and `offset`, such as
     those of `tasks.obstacles`.
     output_bounds: (2, p) m, ±inf where there is no bound, or None. margins: (N,) m, by which every constraint is
-    tightened at its stage.
+    tightened at its stage. hard: no violation where the inputs can avoid it, whatever tracking gains by it: the linear
+    part then grows by the factors `HEAVIER`.
     Raises ValueError for crossed bounds or sizes that disagree.
     """
 
     def __init__(self, output_dim: int, horizon: int, columns=(), obstacles=(), output_bounds=None, margins=None, *,
-                 linear: float, quadratic: float):
+                 linear: float, quadratic: float, hard: bool = False):
         self.columns, self.output_dim, self.horizon = list(columns), int(output_dim), int(horizon)
         self.circles = [o for o in obstacles if hasattr(o, "radius")]
         self.walls = [o for o in obstacles if not hasattr(o, "radius")]
         self.radii = np.array([circle.radius for circle in self.circles])
         self._moving = [i for i, circle in enumerate(self.circles) if callable(circle.center)]
-        self._centers = np.empty((len(self.circles), horizon, 2))
+        self.points = self.horizon * PARTS + 1
+        self._centers = np.empty((len(self.circles), self.points, 2))
         for i, circle in enumerate(self.circles):
-            self._centers[i] = circle.centers(np.zeros(horizon))
-        self.margins = np.zeros(horizon) if margins is None else np.array(margins, dtype=np.float64)
-        if self.margins.shape != (horizon,) or not (np.isfinite(self.margins) & (self.margins >= 0)).all():
-            raise ValueError(f"margins are {self.margins.tolist()}; expected {horizon} lengths, one for each step of "
-                             "the horizon, none negative")
-        self.linear, self.quadratic = float(linear), float(quadratic)
+            self._centers[i] = circle.centers(np.zeros(self.points))
+        self.tighten(np.zeros(horizon) if margins is None else margins)
+        self.linear, self.quadratic, self.hard = float(linear), float(quadratic), bool(hard)
+        # what a violation costs where iterates are compared, 1/m
+        self.price = self.linear * (HEAVIER[-1] if self.hard else 1.0)
         if not (self.linear > 0 and self.quadratic > 0):
             raise ValueError(f"linear is {linear} and quadratic {quadratic}; expected positive weights of a violation")
+        self.weights = path_weights(self.horizon, PARTS)
         self._constant_rows(self._checked(output_bounds))
         self.nearest = min(NEAREST, len(self.circles))
-        self.rows_per_stage = len(self._offsets) + self.nearest
+        self.rows_per_stage = PARTS * (len(self.offsets) + self.nearest)
+
+    def tighten(self, margins) -> None:
+        """Other margins, (N,) m. Raises ValueError for another number of them, or a negative one."""
+        found = np.array(margins, dtype=np.float64)
+        if found.shape != (self.horizon,) or not (np.isfinite(found) & (found >= 0)).all():
+            raise ValueError(f"margins are {found.tolist()}; expected {self.horizon} lengths, one for each step of "
+                             "the horizon, none negative")
+        self.margins = found
 
     def _checked(self, bounds) -> np.ndarray:
         free = np.tile([[-np.inf], [np.inf]], self.output_dim)
@@ -66,11 +84,11 @@ class OutputConstraints:
             normal[self.columns[:len(wall.normal)]] = -wall.normal
             normals.append(normal)
             offsets.append(-wall.offset)
-        self._normals = np.array(normals).reshape(-1, self.output_dim)
-        self._offsets = np.array(offsets)
+        self.normals = np.array(normals).reshape(-1, self.output_dim)
+        self.offsets = np.array(offsets)
 
     def centers(self, times: np.ndarray) -> np.ndarray:
-        """(circles, N, 2) m."""
+        """(circles, N PARTS + 1, 2) m at the times of the path's points."""
         if not self._moving:
             return self._centers
         centers = self._centers.copy()
@@ -78,52 +96,122 @@ class OutputConstraints:
             centers[i] = self.circles[i].centers(times)
         return centers
 
-    def rows(self, times: np.ndarray, outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """normals (N, r, p) and offsets (N, r) of normalᵀ y_k ≥ offset, around outputs (N, p) at times (N,) s."""
-        N, fixed = self.horizon, len(self._offsets)
-        normals = np.zeros((N, self.rows_per_stage, self.output_dim))
-        offsets = np.empty((N, self.rows_per_stage))
-        normals[:, :fixed], offsets[:, :fixed] = self._normals, self._offsets
-        if self.nearest:
-            plane = self.columns[:2]
-            away = outputs[:, plane] - self.centers(times)
-            distance = np.sqrt(np.square(away).sum(-1))
-            clearance = distance - self.radii[:, None]
-            if self.nearest < len(self.circles):
-                # in their own order: a solver that starts from its last solution finds every row where it was
-                chosen = np.sort(np.argpartition(clearance, self.nearest - 1, axis=0)[:self.nearest], axis=0)
-            else:
-                chosen = np.broadcast_to(np.arange(self.nearest)[:, None], (self.nearest, N))
-            stages = np.arange(N)
-            away, distance = away[chosen, stages], distance[chosen, stages]
+    def ahead(self, time: float, period: float, start: np.ndarray) -> ConstraintsAhead:
+        """Seen from `time` s, a control step every `period` s; start (2, p) m: y_0 and period · dy/dt there."""
+        return ConstraintsAhead(self, time + period / PARTS * np.arange(self.points), start)
+
+
+class ConstraintsAhead:
+    """`OutputConstraints` from one time and place on: functions of the outputs y_1 … y_N (N, p) m alone.
+
+    times: of the path's points, (N PARTS + 1,) s; start (2, p) m: y_0 and its change in a period at the velocity there.
+    """
+
+    def __init__(self, constraints: OutputConstraints, times: np.ndarray, start: np.ndarray):
+        self.constraints, self._centers = constraints, constraints.centers(times)
+        self._given = constraints.weights[:, :2] @ start
+
+    def path(self, outputs: np.ndarray) -> np.ndarray:
+        """The points of the path, (N PARTS + 1, p) m."""
+        return self._given + self.constraints.weights[:, 2:] @ outputs
+
+    def rows(self, outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """normals (N, r, p), weights (N, r, N) and lacking (N, r) m of the rows
+
+            normalᵀ Σ_j weights_j (y_j − outputs_j) ≥ lacking,
+
+        lacking: the margin less the clearance of these outputs. Of a stage first the rows of its first point.
+        """
+        own, path = self.constraints, self.path(outputs)
+        each, fixed, p = own.rows_per_stage // PARTS, len(own.offsets), own.output_dim
+        normals, lacking = np.zeros((own.points - 1, each, p)), np.empty((own.points - 1, each))
+        normals[:, :fixed], lacking[:, :fixed] = own.normals, own.offsets - path[1:] @ own.normals.T
+        if own.nearest:
+            clearance, away, distance = self._of_circles(path)
+            chosen = self._chosen(clearance)
+            point = np.arange(own.points - 1)
+            away, distance = away[chosen, point], distance[chosen, point]
             inside = distance < 1e-9  # at the very center every direction is as good: the first axis
             direction = np.where(inside[..., None], [1.0, 0.0], away / np.maximum(distance, 1e-9)[..., None])
-            # normalᵀ y ≥ normalᵀ c + radius, and normalᵀ c = normalᵀ y − distance
-            here = np.einsum("rkq,kq->rk", direction, outputs[:, plane])
-            normals[:, fixed:, plane[0]], normals[:, fixed:, plane[1]] = direction[..., 0].T, direction[..., 1].T
-            offsets[:, fixed:] = (here - distance + self.radii[chosen]).T
-        return normals, offsets + self.margins[:, None]
+            normals[:, fixed:, own.columns[:2]] = direction.swapaxes(0, 1)
+            lacking[:, fixed:] = -clearance[chosen, point].T
+        lacking += np.repeat(own.margins, PARTS)[:, None]
+        weights = np.repeat(own.weights[1:, 2:], each, axis=0).reshape(own.horizon, -1, own.horizon)
+        return normals.reshape(own.horizon, -1, p), weights, lacking.reshape(own.horizon, -1)
 
-    def violations(self, times: np.ndarray, outputs: np.ndarray) -> np.ndarray:
-        """max(0, violation) of every constraint at every stage, (N, ·) m, circles exact."""
-        found = [self._offsets - outputs @ self._normals.T] if len(self._offsets) else []
-        if self.circles:
-            away = outputs[:, self.columns[:2]] - self.centers(times)
-            found.append((self.radii[:, None] - np.sqrt(np.square(away).sum(-1))).T)
-        return np.maximum(np.concatenate(found, axis=1) + self.margins[:, None], 0.0)
+    def _chosen(self, clearance: np.ndarray) -> np.ndarray:
+        """(nearest, points): the circles nearest to the path at each point's stage."""
+        own = self.constraints
+        if own.nearest == len(own.circles):
+            return np.broadcast_to(np.arange(own.nearest)[:, None], (own.nearest, own.points - 1))
+        closest = clearance.reshape(len(own.circles), own.horizon, PARTS).min(axis=-1)
+        # in their own order: a solver that starts from its last solution finds every row where it was
+        chosen = np.sort(np.argpartition(closest, own.nearest - 1, axis=0)[:own.nearest], axis=0)
+        return np.repeat(chosen, PARTS, axis=1)
 
-    def penalty(self, times: np.ndarray, outputs: np.ndarray) -> float:
-        """The penalty of y_1 … y_N (N, p) at times (N,) s."""
-        violation = self.violations(times, outputs)
-        return float(self.linear * violation.sum() + self.quadratic * np.square(violation).sum())
+    def _of_circles(self, path: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of every circle at each point but the start, (circles, N PARTS): the clearance, lessened by how deep the
+        straight pieces dip; the point seen from the center, (·, ·, 2), and its distance.
+        """
+        own = self.constraints
+        seen = path[:, own.columns[:2]] - self._centers
+        lengths = np.square(np.diff(seen, axis=1)).sum(axis=-1)
+        longer = lengths.copy()
+        longer[:, :-1] = np.maximum(lengths[:, :-1], lengths[:, 1:])
+        away = seen[:, 1:]
+        distance = np.sqrt(np.square(away).sum(axis=-1))
+        return distance - np.sqrt(np.square(own.radii)[:, None] + 0.25 * longer), away, distance
+
+    def clearances(self, outputs: np.ndarray) -> np.ndarray:
+        """Of every constraint at every point, less the margins, (N PARTS, ·) m; negative where it is violated."""
+        own, path = self.constraints, self.path(outputs)
+        found = [path[1:] @ own.normals.T - own.offsets] if len(own.offsets) else []
+        if own.circles:
+            found.append(self._of_circles(path)[0].T)
+        return np.concatenate(found, axis=1) - np.repeat(own.margins, PARTS)[:, None]
+
+    def violation(self, outputs: np.ndarray) -> float:
+        """The largest, m; 0 where every constraint is kept."""
+        return max(-float(self.clearances(outputs).min()), 0.0)
+
+    def penalty(self, outputs: np.ndarray) -> float:
+        """The penalty of y_1 … y_N."""
+        own, violation = self.constraints, np.maximum(-self.clearances(outputs), 0.0)
+        return float(own.price * violation.sum() + own.quadratic * np.square(violation).sum())
 
 
-def constraints_of(task, columns, output_dim: int, horizon: int, *, output_bounds=None, margins=None, linear: float,
+def path_weights(steps: int, parts: int) -> np.ndarray:
+    """(steps · parts + 1, steps + 2): points of the path as weighted sums of y_0, T dy_0/dt, y_1 … y_steps.
+
+    At t/T = 0, 1/parts, … steps. In the first step the parabola that leaves y_0 with its velocity and arrives at y_1,
+    exact where the acceleration is constant while an input is held; after it the polynomial through the four outputs
+    next to t, two on either side where there are (Lagrange), exact for paths of degree three.
+
+    >>> path_weights(3, 2)[[1, 3]]
+    array([[ 0.75  ,  0.25  ,  0.25  ,  0.    ,  0.    ],
+           [-0.0625,  0.    ,  0.5625,  0.5625, -0.0625]])
+    """
+    times, count = np.arange(steps * parts + 1) / parts, min(4, steps + 1)
+    weights = np.zeros((len(times), steps + 1))
+    for row, time in zip(weights, times):
+        first = int(np.clip(np.floor(time) - 1, 0, steps + 1 - count))
+        nodes = np.arange(first, first + count)
+        for node in nodes:
+            others = nodes[nodes != node]
+            row[node] = np.prod((time - others) / (node - others))
+    weights = np.insert(weights, 1, 0.0, axis=1)
+    share = times[:parts]
+    weights[:parts] = 0.0
+    weights[:parts, :3] = np.stack([1.0 - share**2, share - share**2, share**2], axis=1)
+    return weights
+
+
+def constraints_of(task, columns, output_dim: int, settings, *, linear: float,
                    quadratic: float) -> OutputConstraints | None:
     """The constraints of a task and of the controller's settings; None where there are none."""
-    obstacles = getattr(task, "obstacles", ())
-    bounded = output_bounds is not None and np.isfinite(np.asarray(output_bounds, dtype=np.float64)).any()
+    obstacles, bounds = getattr(task, "obstacles", ()), settings.output_bounds
+    bounded = bounds is not None and np.isfinite(np.asarray(bounds, dtype=np.float64)).any()
     if not obstacles and not bounded:
         return None
-    return OutputConstraints(output_dim, horizon, columns, obstacles, output_bounds, margins, linear=linear,
-                             quadratic=quadratic)
+    return OutputConstraints(output_dim, settings.horizon, columns, obstacles, bounds, settings.margins, linear=linear,
+                             quadratic=quadratic, hard=settings.hard_constraints)

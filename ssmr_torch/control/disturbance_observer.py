@@ -3,36 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 
 import numpy as np
 
 from ssmr_torch.control.base import whole_steps
 from ssmr_torch.control.estimation import ChartEstimator
 from ssmr_torch.control.gate import InnovationGate
-from ssmr_torch.lazy import found
+from ssmr_torch.control.stepping import Stepper
 
 BEYOND = 1.2      # times the recorded range: a state there which mispredicts as well is lost
+FAR = 3.0         # times the recorded range: no state is there, whatever is measured
 STRANGE = 10      # samples that it must do so
 SETTLING = 10.0   # s that the model is given to come to rest
-
-
-def stepper(model) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """(z (n,), u (m,)) → z⁺ and y⁺ = w(z⁺) of a model, by its compiled kernel where it has one."""
-    compiled = found(model.compiled)(model) if model.compiled else None
-    if compiled is None:
-        def plainly(z, u):
-            following = model.step(z, u)
-            return following, model.decode(following)
-
-        return plainly
-    tables, rollout, _ = compiled
-
-    def fast(z, u):
-        states, outputs = rollout(z, np.ascontiguousarray(u)[None], tables)
-        return states[1], outputs[0]
-
-    return fast
 
 
 class DisturbanceObserver:
@@ -40,11 +22,12 @@ class DisturbanceObserver:
 
         z⁻ = f(z, v),   e = y − w(z⁻) − d,   z⁺ = z⁻ + K_z e,   d⁺ = d + K_d e,   |d| ≤ limit.
 
-    v: what acts on the robot. The first measurement is taken to be of a robot at rest under the v of then: what the
-    model does not explain of it belongs to d, not to z, so that a payload does not put the state where no data are.
+    v: what acts on the robot, which is taken to be at rest under the v of then at first. What the model does not
+    explain of the first whole measurement belongs to d, not to z, so that a payload does not put the state where no
+    data are.
     An outlier, see `InnovationGate`, is left out. A sample that is missing, not finite, only predicts.
     A state beyond the recorded range that mispredicts as well, by `lost` in a watched output, starts anew from the
-    chart of the last samples; d stays.
+    chart of the last samples less d, and so does the first state after a gap in time; d stays.
 
     model: NumPy tables at the timestep of the measurements.   gain: (n + p, p), [K_z; K_d].   covariance: (p, p) m², of
     the innovation.   limit: (p,) m.   lost: m.   watched: columns of y.   input_range is not needed.
@@ -61,10 +44,10 @@ class DisturbanceObserver:
                              f"model of {n} states and {p} outputs needs ({n + p}, {p}) and ({p}, {p})")
         self._lost, self._watched = float(lost), list(range(p) if watched is None else watched)
         self._range = np.where(np.isfinite(model.state_scale) & (model.state_scale > 0), model.state_scale, np.inf)
-        self._step = stepper(model)
+        self._step = Stepper(model)
         self._chart = ChartEstimator(model, whole_steps("the model's window_timestep", model.window_timestep,
                                                         model.timestep))
-        self._rests: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+        self._rest: tuple[bytes, np.ndarray, np.ndarray] | None = None  # the last one, which takes long to find
         self._gate = InnovationGate()
         self.reset()
 
@@ -77,19 +60,20 @@ class DisturbanceObserver:
 
     def reset(self) -> None:
         self.counts: Counter[str] = Counter()
+        self._z, self._d = np.zeros(self.model.state_dim), np.zeros(self.model.output_dim)
+        self._begun, self._unloaded = False, True
         self.forget()
 
     def forget(self) -> None:
-        """As `reset`, but counts stay."""
+        """As `reset`, but counts stay, and the disturbance: what hangs on the robot outlasts a gap in time."""
         self._chart.reset()
         self._gate.reset()
-        self._begun, self._strange = False, 0
-        self._z, self._d = np.zeros(self.model.state_dim), np.zeros(self.model.output_dim)
+        self._gap, self._strange = self._begun, 0
 
     def rest(self, acting: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """State and output where the model comes to rest under v (m,); of rest itself where it leaves its range."""
         key = np.asarray(acting, dtype=np.float64).tobytes()
-        if key not in self._rests:
+        if self._rest is None or self._rest[0] != key:
             window = np.zeros((self.model.delays + 1, self.model.output_dim))
             start = self.model.encode(window, np.tile(acting, (self.model.delays, 1)))
             z, y = start, self.model.decode(start)
@@ -97,51 +81,49 @@ class DisturbanceObserver:
                 for _ in range(round(SETTLING / self.model.timestep)):
                     z, y = self._step(z, acting)
             if not self._inside(z):
-                z, y = start, self.model.decode(start)
-            self._rests[key] = z, y
-        return self._rests[key]
+                z = np.clip(start, -self._range, self._range)
+                y = self.model.decode(z)
+            self._rest = key, z, y
+        return self._rest[1:]
 
     def _inside(self, z: np.ndarray) -> bool:
         return bool(np.isfinite(z).all() and (np.abs(z) <= BEYOND * self._range).all())
 
     def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
-        whole = np.isfinite(observation).all()
-        if not self._begun:
-            self._begin(np.where(np.isfinite(observation), observation, 0.0), last_input)
-            return
-        self._chart.measure(observation, last_input)
-        self._z, predicted = self._step(self._z, last_input)
-        if not whole:
+        z, predicted = self._step(self._z, last_input) if self._begun else self.rest(last_input)
+        self._z, self._begun = z.copy(), True
+        if not np.isfinite(observation).all():
             self.counts["missing"] += 1
-        else:
+        elif self._unloaded:
+            self._d, self._unloaded = np.clip(observation - predicted, -self._limit, self._limit), False
+        elif not self._gap:
             self._update(observation - predicted - self._d)
-        if not np.isfinite(self._z).all():
-            self._start_anew()
-
-    def _begin(self, observation: np.ndarray, last_input: np.ndarray) -> None:
-        self._begun = True
-        self._chart.measure(observation, last_input)
-        z, y = self.rest(last_input)
-        self._z, self._d = z.copy(), np.clip(observation - y, -self._limit, self._limit)
+        self._chart.measure(observation - self._d, last_input)
+        if self._gap and np.isfinite(observation).all():
+            self._gap = False
+            self._from_chart()
+        elif self._strange > STRANGE or not (np.abs(self._z) <= FAR * self._range).all():
+            self.counts["restarted"] += self._from_chart()
 
     def _update(self, error: np.ndarray) -> None:
         if not self._gate.passes(float(error @ self._precision @ error) / len(error)):
             self.counts["gated"] += 1
+            self._strange = self._strange + 1 if not self._inside(self._z) else 0
             return
         n, correction = len(self._z), self._gain @ error
         self._z = self._z + correction[:n]
         self._d = np.minimum(np.maximum(self._d + correction[n:], -self._limit), self._limit)
         mispredicts = np.abs(error[self._watched]).max() > self._lost
         self._strange = self._strange + 1 if mispredicts and not self._inside(self._z) else 0
-        if self._strange > STRANGE:
-            self._start_anew()
 
-    def _start_anew(self) -> None:
+    def _from_chart(self) -> bool:
+        """Whether the chart knows a state, which is then that of the observer."""
         z, _, _ = self._chart.state()
-        if np.isfinite(z).all():
-            self._z = np.clip(z, -self._range, self._range)
-            self._strange = 0
-            self.counts["restarted"] += 1
+        known = bool(np.isfinite(z).all())
+        if known:
+            self._z, self._strange = np.clip(z, -self._range, self._range), 0
+            self._gate.reset()
+        return known
 
     def state(self) -> tuple[np.ndarray, None, np.ndarray]:
         return self._z.copy(), None, self._d.copy()

@@ -14,8 +14,12 @@ import numpy as np
 
 from ssmr_torch.control import condensing, kernel
 from ssmr_torch.control.actuator import Actuator, lag_matrix, lagged
+from ssmr_torch.control.constraints import ConstraintsAhead
 from ssmr_torch.control.problem import TrackingProblem
 from ssmr_torch.lazy import found
+
+# T dy/dt from y_0 and those one, two and three periods later: differences of first to third order.
+VELOCITY = [np.array([-1.0, 1.0]), np.array([-1.5, 2.0, -0.5]), np.array([-11.0, 18.0, -9.0, 2.0]) / 6]
 
 
 class Condensed(NamedTuple):
@@ -51,7 +55,8 @@ class Horizon(ABC):
         self.model, self.problem = model, problem
         self.input_offset: np.ndarray | None = None
         self.output_offset: np.ndarray | None = None
-        self.actuator = actuator if actuator is not None and (actuator.lag or actuator.gain or actuator.offset) else None
+        changes = actuator is not None and (actuator.lag or actuator.gain or actuator.offset)
+        self.actuator = actuator if changes else None
         self.lagged_from = np.zeros(problem.input_dim)
         self.last_input: np.ndarray | None = None
         self._weight = 2.0 * problem.stage_weight / problem.cost_scale
@@ -75,6 +80,20 @@ class Horizon(ABC):
 
     def _seen(self, outputs: np.ndarray) -> np.ndarray:
         return outputs if self.output_offset is None else outputs + self.output_offset
+
+    def constraints_ahead(self, time: float, state: np.ndarray, held: np.ndarray) -> ConstraintsAhead | None:
+        """The problem's constraints, where there are any, seen from a state (n,) at a time in s.
+
+        The velocity there is that of the predictions under the input held so far (m,): whatever comes next, it is the
+        same at first.
+        """
+        if self.problem.constraints is None:
+            return None
+        here = self._seen(self.model.decode(state[None]))[0]
+        later = self.rollout(state, np.tile(held, (self.problem.horizon, 1)))[1]
+        weights = VELOCITY[min(len(later), len(VELOCITY)) - 1]
+        velocity = weights[0] * here + weights[1:] @ later[:len(weights) - 1]
+        return self.problem.constraints.ahead(time, self.problem.period, np.stack([here, velocity]))
 
     def rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """States (N+1, n) and outputs y_1 … y_N (N, p) from state (n,) under inputs (N, m)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from math import isfinite
 
 import numpy as np
@@ -14,6 +15,7 @@ from ssmr_torch.control.sampling import Sampling
 from ssmr_torch.control.settings import PredictiveControlSettings as Predictive
 from ssmr_torch.keywords import configurable
 from ssmr_torch.models.polynomial import PregainModel
+from ssmr_torch.settings import positive_or_none
 from ssmr_torch.status import Status
 
 # of the states that no output shows; it keeps the Riccati equation solvable
@@ -26,23 +28,25 @@ class StaticPregainController:
     G: the model's pregain, u = G [1, y] at rest; cables pull only, so its constant is what they pull in common. ŷ:
     reference now, ẑ: chart of the reference's own window. Outputs that the task does not prescribe take in both the
     values that set points with the prescribed ones have on average; measured ones would feed G back into itself.
-    K: gain of the linear-quadratic regulator for Σ ‖y‖²_Q + ‖u‖²_R of the model at the control period: the stationary
-    one, or with `horizon` N the first of the finite-horizon recursion over N steps; a constant among the states, which
-    is the same in z and ẑ, is left out of it.
+    K: gain of the linear-quadratic regulator for Σ ‖y‖²_Q + ‖u / range‖²_R of the model at the control period: the
+    stationary one, or with `horizon` N the first of the finite-horizon recursion over N steps; a constant among the
+    states, which is the same in z and ẑ, is left out of it.
 
     model: a `PregainModel` without bilinear terms and of degree one, such as that of a `StaticPregainKoopman`. task,
-    input_bounds, timestep, period, output_weight (1/m²), input_weight (1/N²), safe_input: as in
-    `ModelPredictiveController`.
+    input_bounds, timestep, period, output_weight (1/m²), input_weight (without unit, of inputs in units of the range of
+    these bounds), safe_input: as in `ModelPredictiveController`.
     A measurement that is not finite, or that leads to an input that is not, gives safe_input; `fallbacks` counts it.
     Time and measurements are treated and counted, in `counts`, as in `ModelPredictiveController`; `input_bounds` can be
     changed between steps.
-    Raises ValueError for another model, or a period that is no multiple of the timestep.
+    Raises ValueError for another model, a period that is no multiple of the timestep, crossed bounds, or a weight that
+    is not positive.
     """
 
     @configurable(given=("timestep", "output_names"))
     def __init__(self, model, task, input_bounds, *, timestep: float | None = None, output_names=None,
                  period: float = Predictive.period, output_weight: float = Predictive.output_weight,
-                 input_weight: float = Predictive.input_weight, horizon: int | None = None, safe_input=None):
+                 input_weight: float | Sequence[float] = Predictive.input_weight, horizon: int | None = None,
+                 safe_input=None):
         model = model.reduced.numpy()
         if not isinstance(model, PregainModel) or not model.affine or model.structure.chart.highest > 1:
             raise ValueError("this controller takes a linear Koopman model with a pregain; train one with "
@@ -63,9 +67,16 @@ class StaticPregainController:
         C = model.linearize_output(np.zeros(model.state_dim)).C[:, varying]
         self.gain = np.zeros((model.input_dim, model.state_dim))
         self.gain[:, varying] = regulator_gain(A[varying][:, varying], B[varying], C.T @ (weight[:, None] * C),
-                                               input_weight * np.eye(model.input_dim), horizon)
+                                               self._input_cost(input_weight), horizon)
         self.safe_input = self._safe = admissible_input("safe_input", safe_input, self.bounds)
         self.reset()
+
+    def _input_cost(self, weight: float | Sequence[float]) -> np.ndarray:
+        """R of inputs in their own unit, (m, m)."""
+        lower, upper = self.bounds
+        if not (np.isfinite(self.bounds).all() and (lower < upper).all()):
+            raise ValueError(f"input_bounds are {self.bounds.tolist()}; expected finite numbers, lowest below highest")
+        return np.diag(np.broadcast_to(positive_or_none("input_weight", weight), lower.shape) / (upper - lower)**2)
 
     @property
     def counts(self) -> Counter[str]:

@@ -9,25 +9,23 @@ from time import thread_time
 import numpy as np
 
 from ssmr_torch import data_sheet as sheet
-from ssmr_torch.control.actuator import Actuator, ActuatorState
+from ssmr_torch.control.actuator import ActuatorState
 from ssmr_torch.control.base import Command, admissible_input, whole_steps
 from ssmr_torch.control.condensing import continues
-from ssmr_torch.control.constraints import constraints_of
 from ssmr_torch.control.estimation import ChartEstimator
+from ssmr_torch.control.formulation import TrackedReference, actuator_of, names_seen, tracking_problem
 from ssmr_torch.control.horizon import horizon_for
-from ssmr_torch.control.problem import TrackingProblem
 from ssmr_torch.control.sampling import Sample, Sampling
 from ssmr_torch.control.scp import Plan, solve_scp
 from ssmr_torch.control.settings import PredictiveControlSettings
 from ssmr_torch.control.solvers import solver_named
+from ssmr_torch.control.stepping import Stepper
 from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.keywords import configurable
 from ssmr_torch.status import Status
 
 # A reference that differs by more than this from the one planned for is a new one, m.
 REFERENCE_CHANGE = 1e-6
-# A violation costs more than tracking errors of this size at every stage would, m: more than any in the workspace.
-PULL = 0.05
 # Share of an input's range by which it must have changed for a measurement to have to change.
 MOVED = 0.05
 
@@ -62,7 +60,7 @@ class ModelPredictiveController(DataSheet):
             raise TypeError(f"model is a {type(model).__name__}, settings a {type(settings).__name__}; "
                             "expected a model, as ssmr_torch.load returns it, and PredictiveControlSettings")
         settings = (PredictiveControlSettings() if settings is None else settings).changed(**changes)
-        self.output_names = output_names = _seen(model, output_names)
+        self.output_names = output_names = names_seen(model, output_names)
         self.model, self.task, self.settings = model.reduced.numpy(), task, settings
         model = self.model
         self.timestep = float(model.window_timestep if timestep is None else timestep)
@@ -71,9 +69,11 @@ class ModelPredictiveController(DataSheet):
         stride = whole_steps("the model's window_timestep", model.window_timestep, self.timestep)
         self._age = whole_steps("measurement_delay", settings.measurement_delay, self.timestep) \
             if settings.measurement_delay else 0
-        self.actuator = ActuatorState(self._actuator(input_bounds))
+        self._bounds = np.array(input_bounds, dtype=np.float64)
+        self.actuator = ActuatorState(actuator_of(settings, self._bounds, self.timestep))
         self._lead = self.actuator.actuator.delay * self.timestep
-        self.problem = self._problem(input_bounds, output_names)
+        self._reference = TrackedReference(task, output_names, model.output_dim, settings.approach)
+        self.problem = tracking_problem(settings, self._reference, self._bounds, self.actuator.actuator)
         self.horizon = horizon_for(model, self.problem, self.actuator.actuator)
         self.safe_input = self._safe = admissible_input("safe_input", settings.safe_input, self._bounds)
         self.solver = solver_named(settings.qp, *self.problem.size) if solver is None else solver
@@ -82,8 +82,9 @@ class ModelPredictiveController(DataSheet):
         self._largest_norm = settings.range_factor * float(np.linalg.norm(model.state_scale))
         # a model in discrete time need not know steps as short as the measurements'
         observer = settings.observer
-        self._fine = model.at_timestep(self.timestep) if observer or self._age or self._lead else None
-        self.estimator = observer(self._fine, self.problem.input_scale) if observer else ChartEstimator(model, stride)
+        fine = model.at_timestep(self.timestep) if observer or self._age or self._lead else None
+        self._step = None if fine is None else Stepper(fine)
+        self.estimator = observer(fine, self.problem.input_scale) if observer else ChartEstimator(model, stride)
         self._sampling = Sampling(model, self.timestep, every, max(settings.horizon * every, model.delays * stride))
         self._warm_up()
 
@@ -98,7 +99,8 @@ class ModelPredictiveController(DataSheet):
             "measurements": f"every {sheet.period(self.timestep)}, "
                             + (f"{settings.measurement_delay:g} s late" if self._age else "without delay"),
             "inputs: bounds" + rate: sheet.spans(inputs, lower, upper, ""),
-            "weights": f"outputs {settings.output_weight:g} 1/m², inputs {settings.input_weight}",
+            "weights": f"outputs {settings.output_weight:g} 1/m²; of the range: inputs {settings.input_weight}, moves "
+                       f"{settings.move_weight}",
             "programs": f"{settings.iterations} per step, {settings.first_iterations} after a start",
             "state from": type(self.estimator).__name__,
             "fallbacks": sum(self.fallbacks.values()),
@@ -127,37 +129,6 @@ class ModelPredictiveController(DataSheet):
         self.safe_input = np.clip(self._safe, *self._bounds)
         self._last_input = np.clip(self._last_input, *self._bounds)
         self._prepared = None
-
-    def _actuator(self, input_bounds) -> Actuator:
-        """That of the settings; Raises ValueError where it does not fit the measurements."""
-        given, (lower, upper) = self.settings.actuator, np.asarray(input_bounds, dtype=np.float64)
-        if given is None:
-            return Actuator(self.timestep, tuple((upper - lower).tolist()))
-        if len(given.input_range) != len(lower) or abs(given.timestep / self.timestep - 1.0) > 1e-3 \
-                or self.period > 1.001 * self.timestep:
-            raise ValueError(f"the actuator has {len(given.input_range)} inputs and steps of {given.timestep:g} s; "
-                             f"expected {len(lower)}, and the timestep {self.timestep:g} s as the period, which is "
-                             f"{self.period:g} s")
-        return given
-
-    def _problem(self, input_bounds, output_names) -> TrackingProblem:
-        settings, p, columns = self.settings, self.model.output_dim, self.task.columns(output_names)
-        if max(columns) >= p:
-            raise ValueError(f"the task tracks output {max(columns)}; the model has {p} outputs")
-        tracked = np.zeros(p)
-        tracked[list(columns)] = 1.0
-        weight = settings.output_weight
-        linear, quadratic = (2.0 * settings.horizon * PULL * weight, 10.0 * weight) \
-            if settings.violation_weight is None else settings.violation_weight
-        constraints = constraints_of(self.task, columns, p, settings.horizon, output_bounds=settings.output_bounds,
-                                     margins=settings.margins, linear=linear, quadratic=quadratic)
-        self._reference = _Reference(self.task, columns, p, settings.approach)
-        self._bounds = np.array(input_bounds, dtype=np.float64)
-        whole = {"input_range": np.ptp(self._bounds, axis=0)} if self.actuator.actuator.rubs else {}
-        return TrackingProblem(self._reference, self._plannable(self._bounds), weight * tracked, settings.input_weight,
-                               settings.terminal_weight * tracked, settings.input_rate, settings.horizon,
-                               settings.period, constraints, settings.move_weight, settings.huber,
-                               input_target=settings.input_target, **whole)
 
     def _plannable(self, bounds) -> np.ndarray:
         """Of what is planned, under commands within bounds (2, m)."""
@@ -296,7 +267,7 @@ class ModelPredictiveController(DataSheet):
         """The state when the next input acts, of one that is as old as the measurements are."""
         offset = self.horizon.input_offset
         for applied in acting:
-            state = self._fine.step(state, applied if offset is None else applied + offset)
+            state, _ = self._step(state, applied if offset is None else applied + offset)
         return state
 
     def _solve(self, time: float, state: np.ndarray) -> Plan:
@@ -338,40 +309,3 @@ class ModelPredictiveController(DataSheet):
         intended = self.safe_input if steps is None else self._plan.inputs[steps]
         admissible = self.problem.admissible(intended[None], self._held)[0]
         return Command(self._crossing(admissible), plan, status)
-
-
-def _seen(model, output_names):
-    """The names of the outputs, those of the model where none are given. Raises ValueError for any but these."""
-    own = getattr(model, "output_names", None)
-    if output_names is None:
-        return own
-    if own is not None and tuple(output_names) != tuple(own) or len(output_names) != model.reduced.output_dim:
-        raise ValueError(f"output_names are {list(output_names)}; the model has {model.reduced.output_dim} outputs"
-                         f"{'' if own is None else f', {list(own)}'}: name these, in this order")
-    return output_names
-
-
-class _Reference:
-    """The task's reference in the columns that it tracks, zero in the others, which weigh nothing.
-
-    approach: s, within which the distance to where the robot was at first goes to zero, twice continuously
-    differentiable.
-    """
-
-    def __init__(self, task, columns: tuple[int, ...], output_dim: int, approach: float):
-        self.task, self.columns, self.output_dim, self.approach = task, list(columns), output_dim, approach
-        self.begin_at(None, 0.0)
-
-    def begin_at(self, observation: np.ndarray | None, time: float) -> None:
-        """The robot is at observation (p,) m at this time, s; None: not known yet."""
-        self.begun, self.start, self.distance = observation is not None, time, np.zeros(len(self.columns))
-        if self.begun and self.approach:
-            self.distance = observation[self.columns] - self.task.reference(np.array([time]))[0]
-
-    def __call__(self, time: np.ndarray) -> np.ndarray:
-        reference = np.zeros((len(time), self.output_dim))
-        reference[:, self.columns] = self.task.reference(time)
-        if self.begun and self.approach and time[0] < self.start + self.approach:
-            s = np.clip((time - self.start) / self.approach, 0.0, 1.0)[:, None]
-            reference[:, self.columns] += (1.0 - s**3 * (s * (6.0 * s - 15.0) + 10.0)) * self.distance
-        return reference

@@ -11,8 +11,9 @@ import numpy as np
 
 from ssmr_torch.control.base import changed_bounds
 from ssmr_torch.control.condensing import clipped, tracking_cost
-from ssmr_torch.control.constraints import OutputConstraints
+from ssmr_torch.control.constraints import ConstraintsAhead, OutputConstraints
 from ssmr_torch.control.settings import PredictiveControlSettings
+from ssmr_torch.settings import positive
 
 # The solver sees violations in this unit, m.
 SLACK_SCALE = 1e-3
@@ -26,8 +27,9 @@ class TrackingProblem:
         s.t. lower ≤ u_k ≤ upper,   |u_k − u_{k−1}| ≤ rate · period   with u_{−1} the input applied last,
 
     where v = u / range is the input in units of its range, so that no weight has the unit of an input. Where there are
-    `constraints`, their penalty of y_1 … y_N is added to the cost. ρ is the identity, or Huber's function where `huber`
-    is given: from an error of that size on the cost grows linearly, and what is out of reach is not forced.
+    `constraints`, their penalty of the path to y_N is added to the cost. ρ is the identity, or Huber's function where
+    `huber` is given: from an error of that size on the cost grows linearly, and what is out of reach is not forced; Q
+    is then a multiple of the identity in what is tracked, and Q_f in the same, within ρ as well.
 
     reference: time (K,) s → ŷ (K, p) m.   input_bounds: (2, m), lowest and highest input.
     output_weight, terminal_weight: diagonals of Q and Q_f, (p,) or one number, 1/m².
@@ -76,7 +78,12 @@ class TrackingProblem:
         if self.input_range is not None:
             self._set("input_range", _diagonal("input_range", self.input_range, inputs))
         if self.input_target is not None:
-            self._set("input_target", np.array(self.input_target, dtype=np.float64))
+            target = np.array(self.input_target, dtype=np.float64)
+            if target.shape != (inputs,) or not np.isfinite(target).all():
+                raise ValueError(f"input_target has shape {target.shape}; expected {inputs} finite numbers")
+            self._set("input_target", target)
+        if self.huber is not None:
+            self._check_huber()
         if not (self.input_weight > 0).all():
             raise ValueError(f"input_weight is {self.input_weight.tolist()}; expected positive numbers, "
                              "without them the optimal input is not unique")
@@ -85,6 +92,16 @@ class TrackingProblem:
             if not (self.input_rate > 0).all():
                 raise ValueError(f"input_rate is {self.input_rate.tolist()} per s; "
                                  "expected positive numbers, or None for no limit")
+
+    def _check_huber(self) -> None:
+        positive("huber", self.huber, "m")
+        tracked = self.output_weight > 0
+        for name in ("output_weight", "terminal_weight"):
+            weight = getattr(self, name)
+            if weight[~tracked].any() or len(set(weight[tracked])) > 1:
+                raise ValueError(f"{name} is {weight.tolist()}; expected the same number for everything that "
+                                 "output_weight tracks, and zero for the rest, with a huber of "
+                                 f"{self.huber} m: it is one distance from the reference")
 
     def _set(self, name: str, array: np.ndarray) -> None:
         array.setflags(write=False)
@@ -156,10 +173,12 @@ class TrackingProblem:
         return changed
 
     def scaled_bounds(self, last_input: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of v, each (N m,); those of v_0 also limit the change from `last_input` (m,)."""
+        """Bounds of v, each (N m,); those of v_0 also limit the change from `last_input` (m,), which counts from the
+        bounds where these have changed since.
+        """
         lower, upper = self._scaled_box
         if self.input_step is not None and last_input is not None:
-            m = self.input_dim
+            m, last_input = self.input_dim, np.clip(last_input, *self.input_bounds)
             lower, upper = lower.copy(), upper.copy()
             lower[:m] = np.maximum(lower[:m], (last_input - self.input_step) / self.input_scale)
             upper[:m] = np.minimum(upper[:m], (last_input + self.input_step) / self.input_scale)
@@ -172,6 +191,7 @@ class TrackingProblem:
             for k in range(len(inputs)):
                 before = inputs[k - 1] if k else last_input
                 if before is not None:
+                    before = np.clip(before, *self.input_bounds)
                     inputs[k] = np.clip(inputs[k], before - self.input_step, before + self.input_step)
         return inputs
 
@@ -218,11 +238,11 @@ class TrackingProblem:
         return reference
 
     def cost(self, outputs: np.ndarray, inputs: np.ndarray, reference: np.ndarray,
-             times: np.ndarray | None = None, last_input: np.ndarray | None = None) -> float:
+             ahead: ConstraintsAhead | None = None, last_input: np.ndarray | None = None) -> float:
         """J of y_1 … y_N (N, p) and u_0 … u_{N−1} (N, m); not a finite number when the outputs are not.
 
-        times (N,) s: of the outputs; with constraints, which may move, they are needed. last_input (m,): u_{−1}; None:
-        the first input may be any.
+        ahead: the constraints from the present time and place on; where there are constraints, it is needed. last_input
+        (m,): u_{−1}; None: the first input may be any.
         """
         weight = self.stage_weight if self.huber is None else self.huber_weight(outputs, reference, cost=True)
         from_target = inputs if self.input_target is None else inputs - self.input_target
@@ -231,7 +251,7 @@ class TrackingProblem:
             first = inputs[:1] if last_input is None else last_input[None]
             changes = np.diff(inputs, axis=0, prepend=first) / self.input_scale
             cost += float((np.square(changes) @ self.move_weight).sum())
-        return cost if self.constraints is None else cost + self.constraints.penalty(times, outputs)
+        return cost if self.constraints is None else cost + ahead.penalty(outputs)
 
     def huber_weight(self, outputs: np.ndarray, reference: np.ndarray, *, cost: bool = False) -> np.ndarray:
         """(N, p): `stage_weight` times ρ'(‖e‖²) at the tracked errors e of outputs (N, p), m, with which the gradient

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter, thread_time
 
 import numpy as np
 
 from ssmr_torch.control.condensing import output_rows
+from ssmr_torch.control.constraints import HEAVIER, ConstraintsAhead
 from ssmr_torch.control.horizon import Condensed, Horizon
 from ssmr_torch.control.problem import SLACK_SCALE, TrackingProblem
 from ssmr_torch.control.qp import QPSolution, QuadraticProgram
@@ -15,6 +16,8 @@ from ssmr_torch.status import Status
 
 ARMIJO = 1e-4
 HALVINGS = 12
+# Slack, of SLACK_SCALE, that is none.
+KEPT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +30,7 @@ class Plan:
     success, the inputs are usable although the sequence may not have converged.
     iterations: quadratic programs solved. primal_residual, dual_residual, gap: of the last one.
     solve_time: linearization, condensing and solution, s.
+    violation: the largest of the constraints' on the way to y_N, margins included, m; NaN without any.
     """
 
     time: float
@@ -42,6 +46,7 @@ class Plan:
     dual_residual: float
     gap: float
     solve_time: float
+    violation: float = np.nan
 
     def shifted(self, steps: int = 1) -> np.ndarray:
         """The inputs from `steps` control steps later on, the last one repeated, (N, m)."""
@@ -67,35 +72,34 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
     """
     start = perf_counter()
     reference = problem.reference_ahead(time) if reference is None else reference
-    times = None if problem.constraints is None else problem.times_ahead(time)
     inputs = problem.admissible(np.asarray(guess, dtype=np.float64), last_input)
     bounds, horizon.last_input = problem.scaled_bounds(last_input), last_input
-    solution, status, iterations = None, Status.ITERATION_LIMIT, 0
+    solution, status, iterations, kept = None, Status.ITERATION_LIMIT, 0, True
+    ahead = horizon.constraints_ahead(time, state, inputs[0] if last_input is None else last_input)
     point = horizon.condense(state, inputs, reference) if prepared is None \
         else horizon.moved(prepared, state, inputs, reference)
     states, outputs = point.states, point.outputs
     cost = np.nan
     if max_iterations > 1:  # a real-time iteration compares with nothing, and its program shows what is not finite
-        cost = problem.cost(outputs, inputs, reference, times, last_input)
+        cost = problem.cost(outputs, inputs, reference, ahead, last_input)
         if not np.isfinite(cost):
             status = Status.NOT_FINITE
     budget = _Budget(deadline if max_iterations > 1 else np.inf)
     while iterations < max_iterations and status is Status.ITERATION_LIMIT and budget.allows_another():
         if iterations:
             point = horizon.condense(state, inputs, reference)
-        program = _quadratic_program(problem, point, inputs, bounds, times)
-        solution = solver.solve(program)
+        solution, kept = _solved(problem, _quadratic_program(problem, point, inputs, bounds, ahead), solver)
         iterations += 1
         if not solution.status.success:
             status = solution.status
             break
         proposed = solution.x[:inputs.size].reshape(inputs.shape) * problem.input_scale
         proposed = problem.admissible(proposed, last_input)
-        slope = _promised(problem, point, inputs, proposed, outputs, times, solution.x) if max_iterations > 1 else 0.0
+        slope = _promised(problem, point, inputs, proposed, outputs, ahead, solution.x) if max_iterations > 1 else 0.0
         if max_iterations > 1 and -slope <= tolerance * cost:
             status = Status.SOLVED
             break
-        found = _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, times, last_input,
+        found = _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, ahead, last_input,
                              0 if max_iterations == 1 else HALVINGS)
         if found is None:
             status = Status.NOT_FINITE if max_iterations == 1 else Status.NOT_DESCENDING
@@ -105,7 +109,9 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
         status = Status.SOLVED
     if len(states) <= len(inputs):  # a linear model's condensed problem holds the first state alone
         states, outputs = horizon.rollout(state, inputs)
-    return _plan(time, states, inputs, outputs, reference, cost, status, solution, iterations, start)
+    if not kept and solution.status.success:
+        status = Status.SOFTENED
+    return _plan(time, states, inputs, outputs, reference, cost, status, solution, iterations, ahead, start)
 
 
 class _Budget:
@@ -123,7 +129,7 @@ class _Budget:
 
 
 def _quadratic_program(problem: TrackingProblem, point: Condensed, inputs: np.ndarray,
-                       bounds: tuple[np.ndarray, np.ndarray], times: np.ndarray) -> QuadraticProgram:
+                       bounds: tuple[np.ndarray, np.ndarray], ahead: ConstraintsAhead | None) -> QuadraticProgram:
     """J / cost_scale to second order around the inputs, in v = u / input_scale and slacks s / SLACK_SCALE."""
     if problem.constraints is None:
         if problem.rate_rows is None:
@@ -132,8 +138,7 @@ def _quadratic_program(problem: TrackingProblem, point: Condensed, inputs: np.nd
         return QuadraticProgram(point.hessian, point.linear, *bounds, C, -limit, limit, convex=True)
     v = (inputs / problem.input_scale).ravel()
     constraints, soft, d = problem.constraints, problem.soft_rows, len(v)
-    normals, offsets = constraints.rows(times, point.outputs)
-    rows, lowest = output_rows(point.sensitivity, point.outputs, v, normals, offsets, SLACK_SCALE)
+    rows, lowest = output_rows(point.sensitivity, v, *ahead.rows(point.outputs), SLACK_SCALE)
     size, count = problem.size
     H, C = np.zeros((size, size)), np.zeros((count, size))
     row_lower, row_upper = np.empty(count), np.full(count, np.inf)
@@ -150,18 +155,39 @@ def _quadratic_program(problem: TrackingProblem, point: Condensed, inputs: np.nd
     return QuadraticProgram(H, g, lower, upper, C, row_lower, row_upper, convex=True)
 
 
-def _promised(problem, point: Condensed, inputs, proposed, outputs, times, x) -> float:
+def _solved(problem: TrackingProblem, program: QuadraticProgram, solver) -> tuple[QPSolution, bool]:
+    """The program's solution, and whether it keeps the constraints where they are hard.
+
+    A penalty that exceeds the multipliers of the program without slack has the same solution. So a hard program is
+    solved softly, and again with heavier penalties where it then needs slack: what no input can keep has an answer too.
+    """
+    solution, soft, constraints = solver.solve(program), problem.soft_rows, problem.constraints
+    if constraints is None or not constraints.hard:
+        return solution, True
+    for factor in HEAVIER:
+        if not solution.status.success or solution.x[-soft:].max(initial=0.0) <= KEPT:
+            break
+        g = program.g.copy()
+        g[-soft:] *= factor
+        heavier = solver.solve(replace(program, g=g))
+        if not heavier.status.success:
+            break
+        solution = heavier
+    return solution, bool(not solution.status.success or solution.x[-soft:].max(initial=0.0) <= KEPT)
+
+
+def _promised(problem, point: Condensed, inputs, proposed, outputs, ahead, x) -> float:
     """Directional derivative of J along the step, of the penalty its decrease in the program: an upper bound."""
     slope = point.gradient @ ((proposed - inputs) / problem.input_scale).ravel() * problem.cost_scale
     if problem.constraints is None:
         return slope
     s = SLACK_SCALE * np.maximum(x[inputs.size:], 0.0)
     constraints = problem.constraints
-    there = constraints.linear * s.sum() + constraints.quadratic * np.square(s).sum()
-    return slope + there - constraints.penalty(times, outputs)
+    there = constraints.price * s.sum() + constraints.quadratic * np.square(s).sum()
+    return slope + there - ahead.penalty(outputs)
 
 
-def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, times, last_input, halvings):
+def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, ahead, last_input, halvings):
     """(inputs, states, outputs, cost) of the first step 1, ½, ¼, … that lowers the cost enough, or None.
 
     Without halvings the full step is taken wherever its rollout is finite.
@@ -170,7 +196,7 @@ def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slo
         length = 0.5**halving
         candidate = proposed if halving == 0 else inputs + length * (proposed - inputs)
         states, outputs = horizon.rollout(state, candidate)
-        candidate_cost = problem.cost(outputs, candidate, reference, times, last_input)
+        candidate_cost = problem.cost(outputs, candidate, reference, ahead, last_input)
         enough = np.inf if halvings == 0 else cost + ARMIJO * length * slope
         if np.isfinite(candidate_cost) and candidate_cost <= enough:
             return candidate, states, outputs, candidate_cost
@@ -178,11 +204,11 @@ def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slo
 
 
 def _plan(time, states, inputs, outputs, reference, cost, status, solution: QPSolution | None, iterations,
-          start) -> Plan:
+          ahead, start) -> Plan:
     if solution is None:
         residuals, qp_status = (np.inf, np.inf, np.inf), status
     else:
         residuals = (solution.primal_residual, solution.dual_residual, solution.gap)
         qp_status = status if status is Status.NOT_FINITE else solution.status
     return Plan(time, states, inputs, outputs, reference, cost, status, qp_status, iterations, *residuals,
-                perf_counter() - start)
+                perf_counter() - start, np.nan if ahead is None else ahead.violation(outputs))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from ssmr_torch.control.actuator import Actuator
-from ssmr_torch.settings import Settings, non_negative, positive, positive_or_none, whole
+from ssmr_torch.settings import Settings, non_negative, positive, positive_or_none, refuse_unknown, whole
 
 
 @dataclass(frozen=True)
@@ -18,17 +18,19 @@ class PredictiveControlSettings(Settings):
     horizon: N, control steps.   period: s between two plans, a multiple of the timestep; the input is held in between.
     output_weight: on every tracked output, 1/m²; the default is 100 per mm², the authors'.   terminal_weight: added to
     it at the horizon's end, 1/m².
-    input_weight, move_weight: on every input and on its change from one control step to the next, in units of the
-    input's range, one number or (m,) without unit.   input_target: (m,), input that costs nothing, to which inputs tend
-    where tracking leaves them free; None: zero.   huber: m, tracking error from which its cost grows linearly, so
-    that what is out of reach is not forced; None: never.
+    input_weight: on every input in units of its range, one number or (m,), without unit.   move_weight: the same on its
+    change from one control step to the next.   input_target: (m,), input that costs nothing, to which inputs tend where
+    tracking leaves them free; None: zero.   huber: m, tracking error from which its cost grows linearly, so that what
+    is out of reach is not forced; None: never.
     input_rate: input unit per s, one number or (m,); None: no limit.
-    actuator: the `Actuator` between commands and robot; the model is then one of acting inputs, and a control step one
-    sample; None: commands act.
+    actuator: the `Actuator` between commands and robot, or a mapping of its settings; the model is then one of acting
+    inputs, and a control step one sample; None: commands act.
     approach: s within which the reference is reached from where the robot is at first; 0: at once.
-    safe_input: (m,) N; None: the admissible input nearest to zero.
+    safe_input: (m,), input unit; None: the admissible input nearest to zero.
     output_bounds: (2, p) m, soft, lowest and highest of every output; infinite where there is no bound.
-    margins: (N,) m, by which obstacles and output bounds are tightened at each stage.
+    margins: (N,) m, by which obstacles and output bounds are tightened at each stage.   margin_quantile: of the errors
+    on held-out runs that `tightened` makes them of.   hard_constraints: obstacles and bounds are violated only where no
+    input can avoid it, whatever the tracking gains; such a step has the status SOFTENED.
     violation_weight: (1/m, 1/m²) of the exact penalty, see `OutputConstraints`; None: from output_weight.
     iterations: quadratic programs per step; one is the real-time iteration.   first_iterations: the same
     after a start, a fallback, a gap in time or a change of the reference.   tolerance: they end before that once the
@@ -60,13 +62,15 @@ class PredictiveControlSettings(Settings):
     safe_input: Sequence[float] | None = None
     output_bounds: Sequence[Sequence[float]] | None = None
     margins: Sequence[float] | None = None
+    margin_quantile: float = 0.99
+    hard_constraints: bool = False
     violation_weight: Sequence[float] | None = None
     iterations: int = 1
     first_iterations: int = 10
     tolerance: float = 1e-6
     range_factor: float = 3.0
     observer: Callable | None = None
-    actuator: Actuator | None = None
+    actuator: Actuator | Mapping | None = None
     approach: float = 0.0
     measurement_delay: float = 0.0
     frozen_after: int = 5
@@ -81,12 +85,15 @@ class PredictiveControlSettings(Settings):
             self._set(name, positive(name, getattr(self, name), unit))
         for name, unit in (("terminal_weight", "1/m²"), ("measurement_delay", "s"), ("approach", "s")):
             self._set(name, non_negative(name, getattr(self, name), unit))
+        if not (isinstance(self.margin_quantile, float) and 0 < self.margin_quantile < 1):
+            raise ValueError(f"margin_quantile is {self.margin_quantile!r}; expected a share between 0 and 1")
+        if not isinstance(self.hard_constraints, bool):
+            raise ValueError(f"hard_constraints is {self.hard_constraints!r}; expected true or false")
         self._set("step_budget", positive_or_none("step_budget", self.step_budget))
         self._set("input_weight", positive_or_none("input_weight", self.input_weight))
         self._set("input_rate", positive_or_none("input_rate", self.input_rate, "input unit/s"))
         self._set("huber", positive_or_none("huber", self.huber, "m"))
-        if isinstance(self.actuator, Mapping):
-            self._set("actuator", Actuator(**self.actuator))
+        self._set("actuator", _actuator(self.actuator))
         if np.ndim(self.move_weight) == 0:
             self._set("move_weight", non_negative("move_weight", self.move_weight))
         else:
@@ -104,6 +111,20 @@ class PredictiveControlSettings(Settings):
         if self.observer is not None and not callable(self.observer):
             raise ValueError(f"observer is {self.observer!r}; expected what makes one of a model and the input range, "
                              "such as a partial KalmanObserver, or None")
+
+
+def _actuator(given) -> Actuator | None:
+    """An actuator as it is, or of a mapping of its settings; None where none was given."""
+    if given is None or isinstance(given, Actuator):
+        return given
+    if not isinstance(given, Mapping):
+        raise ValueError(f"actuator is {given!r}; expected an Actuator, a mapping of its settings, or None")
+    refuse_unknown("Actuator", given, [field.name for field in fields(Actuator)])
+    lacking = [name for name in ("timestep", "input_range") if name not in given]
+    if lacking:
+        raise ValueError(f"the actuator has {', '.join(given) or 'no settings'}; expected {' and '.join(lacking)} as "
+                         "well")
+    return Actuator(**given)
 
 
 def _numbers(name: str, values) -> tuple | None:

@@ -30,7 +30,8 @@ def settings_of(weights: Weights, observer: Observer, actuator: Actuator, acted:
                     lost=LOST * reach, watched=tuple(acted.tracked))
     return PredictiveControlSettings(
         horizon=weights.horizon, period=acted.timestep, output_weight=1.0 / (weights.tolerance * reach)**2,
-        input_weight=weights.input, input_target=tuple(acted.usual_input.tolist()), move_weight=weights.move, huber=HUBER * reach, observer=watch,
+        input_weight=weights.input, input_target=tuple(acted.usual_input.tolist()),
+        move_weight=weights.move, huber=HUBER * reach, observer=watch,
         actuator=None if actuator.trivial else actuator, approach=APPROACH, safe_input=tuple(neutral.tolist()),
         input_rate=None if actuator.rate is None else tuple((actuator.rate * np.array(actuator.input_range)).tolist()),
         frozen_after=0 if actuator.rubs else 5)

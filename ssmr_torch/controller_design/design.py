@@ -13,6 +13,7 @@ import numpy as np
 
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.control.tightening import tightened
 from ssmr_torch.controller_design.controller import settings_of
 from ssmr_torch.controller_design.identification import Identification, identify
 from ssmr_torch.controller_design.model_choice import (
@@ -20,18 +21,19 @@ from ssmr_torch.controller_design.model_choice import (
     WILD,
     ChosenModel,
     acting_dataset,
+    all_tried,
     choose_predictive,
     horizon_error,
-    least_error,
     spectral_radii,
 )
 from ssmr_torch.controller_design.noises import Likelihood
-from ssmr_torch.controller_design.recordings import Recordings, recordings_of
+from ssmr_torch.controller_design.recordings import Recordings, held_out, recordings_of
 from ssmr_torch.controller_design.report import DesignReport
 from ssmr_torch.controller_design.weights import choose_weights
 from ssmr_torch.trained_model import TrainedModel
 from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 
+MARGIN_QUANTILE = 0.95   # of the held-out errors, by which constraints are tightened
 DISBELIEF = 1.2      # times the error without an actuator: one with which the best model misses by more is not believed
 LOOPS = 240          # steps of the bar: designs whose margins are looked at, and loops against the twin
 
@@ -54,6 +56,9 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
     3. Noises of inputs, states, disturbance and sensors by the likelihood of held-out runs; the stationary observer.
     4. Observer and weights by margins along the recordings and by loops against a twin, a second model.
 
+    Obstacles and output bounds are tightened, at each step of the horizon, by the 95 % quantile of what the controller
+    misses of the held-out runs.
+
     data: recordings with controlled runs under dither; training and validation runs are used, test runs never.
     task: of `ssmr_torch.tasks`; its outputs are tracked.   bounds: (2, m), lowest and highest command.
     identified: an actuator that is known already; None: it is identified.
@@ -71,44 +76,49 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
     say = print if progress else lambda line: None
     with _bar(shown) as tell:
         found = _given(identified, recordings) if identified else identify(recordings, say=say)
-        found, acted = _believed(found, recordings, say)
-        chosen = _chosen(model, data, acted, found.actuator, say)
+        found, acted, tried = _believed(found, recordings, say)
+        chosen = _chosen(model, data, acted, tried, found.actuator, say)
         likelihood = Likelihood(chosen.model, acted)
         noises = likelihood.most_likely(say=say)
         search = choose_weights(chosen, found.actuator, acted, likelihood, noises, task=task, tell=tell, say=say)
-    settings = settings_of(search.best.weights, search.best.observer, search.actuator, acted, likelihood)
+    settings = settings_of(search.best.weights, search.best.observer, found.actuator, acted, likelihood)
     controller = ModelPredictiveController(chosen.model, task, recordings.bounds, settings, timestep=data.timestep,
                                            output_names=data.output_names)
+    if controller.problem.constraints is not None:
+        tightened(controller, held_out(data), MARGIN_QUANTILE)
     report = DesignReport(recordings, found, chosen, noises, search, likelihood, task.name, perf_counter() - began)
     return Designed(controller, report)
 
 
 def _given(actuator: Actuator, recordings: Recordings) -> Identification:
     if len(actuator.input_range) != recordings.input_dim or actuator.timestep != recordings.timestep:
-        raise ValueError(f"the actuator has {len(actuator.input_range)} inputs and steps of {actuator.timestep:g} s; the "
-                         f"recordings {recordings.input_dim} and {recordings.timestep:g} s")
+        raise ValueError(f"the actuator has {len(actuator.input_range)} inputs and steps of {actuator.timestep:g} s; "
+                         f"the recordings {recordings.input_dim} and {recordings.timestep:g} s")
     return Identification(actuator, np.nan, np.nan, {}, {}, {})
 
 
-def _believed(found: Identification, recordings: Recordings, say) -> tuple[Identification, Recordings]:
-    """The actuator, unless the best of all models predicts worse with it: then commands act as they are."""
+def _believed(found: Identification, recordings: Recordings, say) -> tuple[Identification, Recordings, list]:
+    """The actuator, unless the best of all models predicts worse with it: then commands act as they are; the recordings
+    under it, and what all models miss of them.
+    """
     acted = recordings.under(found.actuator)
+    tried = all_tried(acted)
     if found.actuator.trivial or np.isnan(found.error):
-        return found, acted
-    errors = [least_error(each) for each in (acted, recordings)]
-    if errors[0] <= DISBELIEF * errors[1]:
-        return found, acted
-    say(f"the actuator is not believed: the best model misses held-out runs by {100 * errors[0]:.3g} % of the reach with "
-        f"it, by {100 * errors[1]:.3g} % without")
+        return found, acted, tried
+    plain = all_tried(recordings)
+    if tried[0][1] <= DISBELIEF * plain[0][1]:
+        return found, acted, tried
+    say(f"the actuator is not believed: the best model misses held-out runs by {100 * tried[0][1]:.3g} % of the reach "
+        f"with it, by {100 * plain[0][1]:.3g} % without")
     none = Actuator(recordings.timestep, found.actuator.input_range)
-    return replace(found, actuator=none, error=found.plain), recordings
+    return replace(found, actuator=none, error=found.plain), recordings, plain
 
 
-def _chosen(model, data: TrajectoryDataset, acted: Recordings, actuator: Actuator,
+def _chosen(model, data: TrajectoryDataset, acted: Recordings, tried: list, actuator: Actuator,
             say: Callable[[str], None]) -> ChosenModel:
     """The model that was asked for, and a predictive one as its twin."""
     if model in SEARCHED if isinstance(model, str | None) else False:
-        return choose_predictive(acted, say=say)
+        return choose_predictive(acted, tried, say=say)
     from ssmr_torch.fitting.by_kind import fit  # Torch and Lightning, which a predictive model does not need
 
     if isinstance(model, str):
@@ -126,7 +136,7 @@ def _chosen(model, data: TrajectoryDataset, acted: Recordings, actuator: Actuato
                          "'auto'")
     say(f"model: {reduced.kind} of {reduced.state_dim} states; held-out error {100 * error:.3g} % of the reach"
         + (f"; its Jacobians grow by up to {radius:.3g} a sample" if radius > WILD else ""))
-    predictive = choose_predictive(acted)
+    predictive = choose_predictive(acted, tried)
     return ChosenModel(reduced, error, predictive.model, predictive.error,
                        f"{getattr(trained, 'name', model)}: {reduced.kind} of {reduced.state_dim} states",
                        predictive.words, predictive.tried)

@@ -27,8 +27,8 @@ ROWS = 5000
 @dataclass(frozen=True, eq=False)
 class Identification:
     """actuator; error, plain: of the held-out predictions with it and with commands that act as they are, of the reach.
-    by_delay, by_lag, by_friction: errors over one setting, the others as found: {value: error}; delay in samples, lag in
-    s, friction as ("play", half) or ("friction", μθ).
+    by_delay, by_lag, by_friction: errors over one setting, the others as found: {value: error}; delay in samples,
+    lag in s, friction as ("play", half) or ("friction", μθ).
     """
 
     actuator: Actuator
@@ -40,7 +40,7 @@ class Identification:
 
 
 class _Search:
-    """Errors of a linear or bilinear model of few coordinates, whose chart sees no past inputs: with them it would hide a lag."""
+    """Errors of a linear or bilinear model of few coordinates, whose chart sees no past inputs: these hide a lag."""
 
     def __init__(self, recordings: Recordings):
         self.scaled = Scaled(recordings, FUTURE, ROWS)
@@ -127,5 +127,6 @@ def in_words(actuator: Actuator) -> str:
     parts += [f"cable friction μθ = {actuator.friction:.3g}"] if actuator.friction else []
     parts += [f"at most {actuator.rate:g} input ranges per s"] if actuator.rate else []
     parts += [f"gains {', '.join(f'{g:.3g}' for g in actuator.gain)}"] if actuator.gain else []
-    parts += [f"offsets {', '.join(f'{100 * g:.2g}' for g in actuator.offset)} % of the range"] if actuator.offset else []
+    if actuator.offset:
+        parts.append(f"offsets {', '.join(f'{100 * each:.2g}' for each in actuator.offset)} % of the range")
     return ", ".join(parts) or "none, commands act as they are"

@@ -115,7 +115,7 @@ class Point:
         return np.vstack(Y), np.vstack(Z)
 
     def loop(self, observer: Observer, weights: Weights, extra: int = 0, gain: float = 1.0):
-        """Matrix of one sample on [robot with `extra` samples of delay, observer, last input], and where each begins."""
+        """Matrix of one sample on [robot with `extra` samples of delay, observer, last input]; C, K; and its rows."""
         n, p, m, N = self.n, self.p, self.m, len(self.A)
         Ap, Bp, Cp = _delayed(self.A, gain * self.B, self.C, extra)
         K = np.zeros((N + p, p))

@@ -40,14 +40,15 @@ class ChosenModel:
     tried: list[tuple[Form, float]]
 
 
-def choose_predictive(acted: Recordings, *, say: Callable[[str], None] = lambda line: None) -> ChosenModel:
+def choose_predictive(acted: Recordings, tried: list[tuple[Form, float]] | None = None, *,
+                      say: Callable[[str], None] = lambda line: None) -> ChosenModel:
     """The predictive model that predicts the held-out runs best over 20 samples, and the best of another structure.
 
     A model whose Jacobians along the recordings grow, by more than `WILD` at a tenth of the points, explodes beside its
     data and is refused. Both are then fitted on the held-out runs as well.
+    tried: what `all_tried` gave of the same recordings, if it has been asked already.
     """
-    scaled = Scaled(acted, FUTURE)
-    found = _tried(scaled)
+    scaled, found = Scaled(acted, FUTURE), all_tried(acted) if tried is None else tried
     tame = _tame(scaled, found)
     best = next(tame, None)
     if best is None:
@@ -60,13 +61,9 @@ def choose_predictive(acted: Recordings, *, say: Callable[[str], None] = lambda 
                        other[0].words, found)
 
 
-def least_error(acted: Recordings) -> float:
-    """Held-out error of the best predictive model, of the reach."""
-    return _tried(Scaled(acted, FUTURE))[0][1]
-
-
-def _tried(scaled: Scaled) -> list[tuple[Form, float]]:
-    recordings, found = scaled.recordings, []
+def all_tried(acted: Recordings) -> list[tuple[Form, float]]:
+    """Every form with its held-out error, of the reach, best first."""
+    scaled, recordings, found = Scaled(acted, FUTURE), acted, []
     p, m = recordings.output_dim, recordings.input_dim
     everything = tuple(range(p))
     keeps = dict.fromkeys([tuple(recordings.tracked), everything])

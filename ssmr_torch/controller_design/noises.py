@@ -77,8 +77,8 @@ class Likelihood:
                   for k in range(d, len(piece.input) - SEGMENT - 1, SEGMENT // 2)]
         if not starts:
             shortest = min(len(piece.input) for piece in self.acted.held)
-            raise ValueError(f"the held-out runs are {shortest} samples long; expected more than {SEGMENT + d + 1}, from "
-                             "which the noises are told: record longer runs")
+            raise ValueError(f"the held-out runs are {shortest} samples long; expected more than {SEGMENT + d + 1}, "
+                             "from which the noises are told: record longer runs")
         starts = [starts[k] for k in np.unique(np.linspace(0, len(starts) - 1, SEGMENTS).astype(int))]
         windows = np.stack([piece.observation[k - d:k + 1] for piece, k in starts])
         past = np.stack([piece.input[k - d:k] for piece, k in starts])

@@ -49,7 +49,7 @@ class Form:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """z = [w, 1] E of windows w: E (values + 1, n_max), the kept outputs first; R (q, q): kept outputs = z[:q] R + rest."""
+    """z = [w, 1] E of windows w: E (values + 1, n_max), kept outputs first; R (q, q): kept outputs = z[:q] R + rest."""
 
     E: np.ndarray
     R: np.ndarray

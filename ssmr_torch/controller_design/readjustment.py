@@ -18,7 +18,7 @@ FRICTIONS = (0.0, 0.05, 0.08, 0.1, 0.12, 0.15, 0.2, 0.25)
 MORE_DELAY = 6                   # samples, beyond that of the design
 ROUNDS = 6
 GAIN = 0.97                      # of the error: what a change must reach to be believed
-UNEXPLAINED = 0.5                # of the error that is left before gains and offsets are looked at: they bend to anything
+UNEXPLAINED = 0.5                # of the error that is left before gains are looked at: they bend to anything
 PULL = 1e-5                      # of gains and offsets towards one and zero
 PROBE = 0.01
 GAINS, OFFSETS = (0.3, 2.0), (-0.25, 0.25)
@@ -78,7 +78,8 @@ class _Search:
     def bent(self, actuator: Actuator, gains: bool, steps: int = 3) -> Actuator:
         """With offsets, and gains where asked for, of least error by Gauss-Newton steps."""
         m = len(actuator.input_range)
-        values = np.concatenate([actuator.factor, np.zeros(m) if actuator.offset is None else np.array(actuator.offset)])
+        offset = np.zeros(m) if actuator.offset is None else np.array(actuator.offset)
+        values = np.concatenate([actuator.factor, offset])
         moving = range(2 * m) if gains else range(m, 2 * m)
         usual = np.repeat([1.0, 0.0], m)
         for _ in range(steps):
@@ -135,7 +136,8 @@ def readjustment(controller, records, *, expected: float | None = None, fixed_fr
 
 
 def _judged(best: Actuator, begin: Actuator, before: float, after: float, expected: float | None) -> Readjustment:
-    numbers = f"predictions missed the record by {100 * before:.3g} % of its reach, and miss it by {100 * after:.3g} % now"
+    numbers = (f"predictions missed the record by {100 * before:.3g} % of its reach, and miss it by {100 * after:.3g} "
+               "% now")
     if best == begin:
         return Readjustment(begin, before, after, False, f"nothing explains the record better; {numbers}")
     if expected is not None and after > RETURNED * expected:
@@ -147,8 +149,8 @@ def _judged(best: Actuator, begin: Actuator, before: float, after: float, expect
 def _piece(record, controller) -> Piece:
     if record.measurement.shape[1] != controller.model.output_dim or \
             record.input.shape[1] != controller.model.input_dim:
-        raise ValueError(f"the record has {record.measurement.shape[1]} outputs and {record.input.shape[1]} inputs; the "
-                         f"controller's model {controller.model.output_dim} and {controller.model.input_dim}")
+        raise ValueError(f"the record has {record.measurement.shape[1]} outputs and {record.input.shape[1]} inputs; "
+                         f"the controller's model {controller.model.output_dim} and {controller.model.input_dim}")
     return Piece(np.asarray(record.measurement), np.asarray(record.input), False)
 
 

@@ -100,18 +100,25 @@ def recordings_of(data: TrajectoryDataset, tracked: Sequence[int], bounds: np.nd
     if bounds.shape != (2, data.input_dim) or not (np.isfinite(bounds).all() and (bounds[0] < bounds[1]).all()):
         raise ValueError(f"bounds are {bounds.tolist()}; expected (2, {data.input_dim}) finite numbers, lowest and "
                          "highest input, lowest below highest")
-    runs = {split: [run.read() for run in data.select(split) if run.kind != "static"] for split in
-            ("train", "validation")}
-    held = [run for run in runs["validation"] if run.kind == "controlled"]
-    train = [run for run in runs["train"] + runs["validation"] if run not in held]
-    if not held:
-        controlled = [run for run in train if run.kind == "controlled"]
-        held = controlled[HELD_OUT - 1::HELD_OUT] or controlled[1:][-1:]
-        train = [run for run in train if not any(run is other for other in held)]
+    train, held = _split(data)
     found = Recordings([_piece(run) for run in train], [_piece(run) for run in held], data.timestep, bounds,
                        tuple(tracked), data.output_names, data.input_names)
     _check(found)
     return found
+
+
+def held_out(data: TrajectoryDataset) -> list[Trajectory]:
+    """The controlled runs that no fit of a design sees."""
+    return _split(data)[1]
+
+
+def _split(data: TrajectoryDataset) -> tuple[list[Trajectory], list[Trajectory]]:
+    """Runs to train on, and controlled ones held out: those for validation, or every `HELD_OUT`-th."""
+    runs = [run.read() for split in ("train", "validation") for run in data.select(split) if run.kind != "static"]
+    controlled = [run for run in runs if run.kind == "controlled"]
+    held = [run for run in controlled if run.split == "validation"] or controlled[HELD_OUT - 1::HELD_OUT] \
+        or controlled[1:][-1:]
+    return [run for run in runs if not any(run is other for other in held)], held
 
 
 def _piece(run: Trajectory) -> Piece:
@@ -124,9 +131,9 @@ def _check(found: Recordings) -> None:
                          "change: record some minutes with dither (excitation=five_minutes), or by ssmr commission")
     seconds = sum(len(piece.input) for piece in found.held) * found.timestep
     if seconds < LEAST_HELD:
-        raise ValueError(f"{seconds:.3g} s of controlled runs could be held out; expected {LEAST_HELD:g} s or more, from "
-                         "which delay, noises and weights are judged: record two controlled runs or more, or mark one "
-                         "split='validation'")
+        raise ValueError(f"{seconds:.3g} s of controlled runs could be held out; expected {LEAST_HELD:g} s or more, "
+                         "from which delay, noises and weights are judged: record two controlled runs or more, or mark "
+                         "one split='validation'")
     inputs = np.concatenate([piece.input for piece in found.controlled])
     span = np.ptp(inputs, axis=0) / found.input_range
     still = [name for name, share in zip(found.input_names, span) if share < CONSTANT]
@@ -139,4 +146,4 @@ def _check(found: Recordings) -> None:
                if lowest[k] < found.bounds[0, k] - slack[k] or highest[k] > found.bounds[1, k] + slack[k]]
     if outside:
         raise ValueError(f"the recorded inputs {', '.join(outside)} go from {lowest.tolist()} to {highest.tolist()}, "
-                         f"outside of the bounds {found.bounds.tolist()}; give the bounds in the unit of the recordings")
+                         f"outside of the bounds {found.bounds.tolist()}; give bounds in the unit of the recordings")

@@ -9,7 +9,7 @@ from scipy.optimize import lsq_linear
 
 from ssmr_torch import data_sheet as sheet
 from ssmr_torch.control.actuator import ActuatorState
-from ssmr_torch.control.disturbance_observer import stepper
+from ssmr_torch.control.stepping import Stepper
 from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.tasks.references import Task
 
@@ -24,7 +24,7 @@ FEASIBLE = 2.0         # times the error at half the speed, and 1 % of the exten
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal(DataSheet):
-    """floor: (K,) m, least static error at K points along the path; out_of_reach: share of them beyond 1 % of its extent.
+    """floor: (K,) m, least static error at K points of the path; out_of_reach: share of them beyond 1 % of its extent.
     static_ise: m², sum over the samples of the run of its square, which no controller goes below at this pace.
     held: share of the run's samples by name of input and bound at which the model's loop held it there.
     rmse: m, of the loop on the model without noise. fastest: largest factor of the task's speed that the model tracks.
@@ -45,8 +45,8 @@ class Rehearsal(DataSheet):
         held = {name: f"{100 * share:.3g} % of the time" for name, share in self.held.items()}
         return f"Rehearsal of {self.task!r} on the model", {
             "out of reach at rest": reach,
-            "static floor": f"ISE {sheet.number(1e6 * self.static_ise)} mm², at most {sheet.number(1e3 * self.floor.max())}"
-                            " mm",
+            "static floor": f"ISE {sheet.number(1e6 * self.static_ise)} mm², at most "
+                            f"{sheet.number(1e3 * self.floor.max())} mm",
             "RMSE on the model": f"{sheet.number(1e3 * self.rmse)} mm" if np.isfinite(self.rmse) else "lost",
             "inputs at a bound": held or "none",
             "fastest": "not at half the speed" if self.fastest is None else f"{self.fastest:g} times the speed"}
@@ -89,7 +89,7 @@ def _loop(controller, task: Task, columns, speed: float) -> tuple[np.ndarray, np
                               timestep=controller.timestep, output_names=controller.output_names)
     runner.reset()
     fine = controller.model.at_timestep(controller.timestep)
-    step, state = stepper(fine), ActuatorState(controller.actuator.actuator)
+    step, state = Stepper(fine), ActuatorState(controller.actuator.actuator)
     state.rest_at(controller.safe_input)
     z, y = runner.estimator.rest(state.acting)
     commands, errors = [], []
@@ -130,7 +130,7 @@ def _fastest(controller, task: Task, columns, extent: float) -> float | None:
 def _static(controller, task: Task, columns) -> tuple[np.ndarray, dict]:
     """Least static error (K,), m, at points along the path, and how many inputs hold it at a bound."""
     fine = controller.model.at_timestep(controller.timestep)
-    step, actuator = stepper(fine), controller.actuator.actuator
+    step, actuator = Stepper(fine), controller.actuator.actuator
     lower, upper = (actuator.factor * bound + actuator.shift for bound in controller.input_bounds)
     columns, middle = list(columns), 0.5 * (lower + upper)
     z, _ = controller.estimator.rest(actuator.factor * controller.safe_input + actuator.shift)

@@ -40,7 +40,7 @@ class DesignReport(DataSheet):
         best, found, recordings = self.search.best, self.identification, self.recordings
         return {
             "task": self.task, "reach": recordings.reach, "minutes": recordings.minutes,
-            "actuator": self.search.actuator.plain(), "actuator_error": _finite(found.error),
+            "actuator": self.identification.actuator.plain(), "actuator_error": _finite(found.error),
             "commands_error": _finite(found.plain), "model": self.model.words, "model_error": _finite(self.model.error),
             "twin": self.model.twin_words, "twin_error": _finite(self.model.twin_error),
             "noises": {"inputs": self.noises.inputs, "states": self.noises.states,
@@ -59,10 +59,10 @@ class DesignReport(DataSheet):
         """What was found, what was decided by it, and what the recordings could not tell."""
         best, found, search, reach = self.search.best, self.identification, self.search, self.recordings.reach
         mm = 1e3 * reach
-        lines = [f"The actuators: {in_words(search.actuator)}."]
+        lines = [f"The actuators: {in_words(found.actuator)}."]
         if np.isfinite(found.error):
-            lines.append(f"With them a cheap model misses held-out runs by {100 * found.error:.3g} % of the reach, without "
-                         f"by {100 * found.plain:.3g} %.")
+            lines.append(f"With them a cheap model misses held-out runs by {100 * found.error:.3g} % of the reach, "
+                         f"without by {100 * found.plain:.3g} %.")
         lines += [f"The model: {self.model.words}. It misses held-out runs by {100 * self.model.error:.3g} % of the "
                   f"reach ({mm * self.model.error:.3g} mm), on the mean of 1 to 20 samples.",
                   f"The noise of the sensors is {mm * self.noises.sensor:.3g} mm.",
@@ -74,7 +74,8 @@ class DesignReport(DataSheet):
                          "accurate; recordings with more dither may tell more.")
         if search.judged_by == "margins":
             lines.append("Every loop against the twin was lost, so the twin is no judge; the margins decided.")
-        lines.append(f"Predicted tracking error: {100 * best.predicted:.3g} % of the reach ({mm * best.predicted:.3g} mm).")
+        lines.append(f"Predicted tracking error: {100 * best.predicted:.3g} % of the reach, "
+                     f"{mm * best.predicted:.3g} mm.")
         lost = [name for name, error in best.against_twin.items() if not np.isfinite(error)]
         if lost:
             lines.append(f"Against the twin the loop got lost with: {', '.join(lost)}.")
@@ -84,8 +85,9 @@ class DesignReport(DataSheet):
         best, mm = self.search.best, 1e3 * self.recordings.reach
         twin = {name: "lost" if not np.isfinite(error) else f"{100 * error:.3g} % of the reach, {mm * error:.3g} mm"
                 for name, error in best.against_twin.items()}
-        return f"DesignReport for {self.task!r}: {self.seconds:.0f} s, {self.recordings.minutes:.2g} min of recordings", {
-            "actuator": in_words(self.search.actuator), "model": self.model.words,
+        minutes = f"{self.recordings.minutes:.2g} min of recordings"
+        return f"DesignReport for {self.task!r}: {self.seconds:.0f} s, {minutes}", {
+            "actuator": in_words(self.identification.actuator), "model": self.model.words,
             "held-out error": f"{100 * self.model.error:.3g} % of the reach of {mm:.4g} mm",
             "noise of the sensors": f"{sheet.number(mm * self.noises.sensor)} mm",
             "designs": f"{self.search.stable} of {self.search.count} stable, {self.search.safe} with all margins",
@@ -96,7 +98,7 @@ class DesignReport(DataSheet):
 
     def save(self, folder: str | Path) -> Path:
         """Write design.json, design.md and the figures; each file appears only when it is complete."""
-        from ssmr_torch.controller_design.figures import draw
+        from ssmr_torch.evaluation.design_figures import draw
 
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)

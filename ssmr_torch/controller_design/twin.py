@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssmr_torch.control.actuator import Actuator, ActuatorState
-from ssmr_torch.control.disturbance_observer import stepper
+from ssmr_torch.control.stepping import Stepper
 from ssmr_torch.controller_design.noises import Noises
 from ssmr_torch.controller_design.recordings import Recordings
 from ssmr_torch.models.polynomial import PolynomialModel
@@ -52,7 +52,7 @@ class Twin:
         self._of_sensor = noises.sensor * recordings.reach
         self._of_inputs = 0.5 * noises.inputs * recordings.input_range
         self._of_states = noises.states * SPREAD * model.state_scale
-        self._step = stepper(model)
+        self._step = Stepper(model)
         extra = round(case.delay / actuator.timestep)
         if case.delay:
             extra = max(1, extra)

@@ -21,15 +21,15 @@ from ssmr_torch.tasks.references import Task
 OF_STATES, OF_DISTURBANCE, OF_SENSOR = (1.0, 0.1, 0.01), (0.3, 1.0, 3.0, 10.0), (1.0, 4.0)
 MOVES = (4.0, 40.0, 400.0, 4e3, 4e4, 4e5)
 TOLERANCE, HORIZON = 1e-3, 10
-OF_MOVE, MOST = 0.01, 40.0   # the input weight: of the move weight, so that free directions follow within ten samples, and at
-# most what biases tracking by 4e-5 of the reach per range of input
+# The input weight: this share of the move weight, so that directions which tracking leaves free settle within ten
+# samples, and at most what biases tracking by 4e-5 of the reach for an input that is off by its range.
+OF_MOVE, MOST = 0.01, 40.0
 POINTS = 4           # along the recordings, at which margins are asked for
 EXTRA_DELAY = 0.06   # s, that a loop must stand, but no more than `SHARE_OF_LOOP` of its own time
 SHARE_OF_LOOP = 3.0  # samples beyond the actuator's own delay and lag
 PEAK = 2.0           # of the sensitivity
 TRIES = 10           # designs that are tried against the twin
 FAR = 1.25           # times the least error out of reach, that a design may make there
-EASES = (0.3, 2.0)   # of a play's width, beside the actuator's own, over which the command may cross it
 DRIFT = 3.0          # how much stronger the disturbance is taken to be in use than in the recordings
 
 
@@ -56,7 +56,6 @@ class WeightSearch:
     """
 
     best: Design
-    actuator: Actuator
     count: int
     stable: int
     safe: int
@@ -70,8 +69,8 @@ class _Candidates:
 
     def __init__(self, model, actuator: Actuator, acted: Recordings, likelihood: Likelihood, noises: Noises):
         z, u = points_along(model, acted, POINTS)
-        self.points = [Point(model, actuator, z[k], u[k], likelihood.free, acted.reach, acted.input_range, acted.tracked)
-                       for k in range(POINTS)]
+        self.points = [Point(model, actuator, z[k], u[k], likelihood.free, acted.reach, acted.input_range,
+                             acted.tracked) for k in range(POINTS)]
         self.likelihood, self.noises = likelihood, noises
         self.truth = likelihood.observer(noises.times(disturbance=DRIFT))
         own = 1 + actuator.delay + actuator.lag / actuator.timestep
@@ -120,10 +119,12 @@ def choose_weights(chosen: ChosenModel, actuator: Actuator, acted: Recordings, l
     if not stable:
         raise ValueError(f"none of {len(designs)} observers and weights makes a stable loop with this model at "
                          f"{len(candidates.points)} points of the recordings; its held-out error is "
-                         f"{100 * chosen.error:.3g} % of the reach: record longer or more slowly, or take another model")
+                         f"{100 * chosen.error:.3g} % of the reach: record longer or more slowly, or take another "
+                         "model")
     safe = [each for each in stable if each.margins.shortfall(PEAK) < 1.0]
     say(f"designs: {len(stable)} of {len(designs)} stable, {len(safe)} with all margins "
-        f"({1e3 * candidates.extra * actuator.timestep:g} ms more delay, half and twice the gain, sensitivity {PEAK:g})")
+        f"({1e3 * candidates.extra * actuator.timestep:g} ms more delay, half and twice the gain, sensitivity "
+        f"{PEAK:g})")
     picked = [replace(each, predicted=candidates.predicted(each)) for each in
               (safe or sorted(stable, key=lambda each: each.margins.shortfall(PEAK))[:TRIES])]
     picked.sort(key=lambda each: each.predicted if safe else each.margins.shortfall(PEAK))
@@ -135,13 +136,11 @@ def choose_weights(chosen: ChosenModel, actuator: Actuator, acted: Recordings, l
     kept = [each for each in tried if each.against_twin and np.isfinite(list(each.against_twin.values())).any()]
     best = min(kept, key=_score) if kept else picked[0]
     judged = "twin" if kept else "margins"
-    if kept and actuator.rubs:
-        eased = [(replace(actuator, ease=ease), trial.disturbed(best, replace(actuator, ease=ease))) for ease in EASES]
-        actuator, best = min([(actuator, best), *eased], key=lambda each: _score(each[1]))
     say(f"weights: move {best.weights.move:g}, observer × {best.factors}; predicted error "
         f"{100 * best.predicted:.3g} % of the reach; against the twin "
         + ", ".join(f"{name} {100 * error:.3g} %" for name, error in best.against_twin.items()))
-    return WeightSearch(best, actuator, len(designs), len(stable), len(safe), candidates.extra, judged, candidates.points)
+    return WeightSearch(best, len(designs), len(stable), len(safe), candidates.extra, judged,
+                        candidates.points)
 
 
 def _score(design: Design) -> float:
@@ -159,8 +158,8 @@ class _Trial:
         self.motion = recorded_motion(acted, task.tracked)
         self.far = recorded_motion(acted, task.tracked, scale=WIDER)
 
-    def error(self, design: Design, path: Task, case: Case, lost: float, actuator: Actuator | None = None) -> float:
-        acted, actuator = self.acted, actuator or self.actuator
+    def error(self, design: Design, path: Task, case: Case, lost: float) -> float:
+        acted, actuator = self.acted, self.actuator
         controller = ModelPredictiveController(
             self.chosen.model, path, acted.bounds, timestep=acted.timestep, output_names=acted.output_names,
             settings=settings_of(design.weights, design.observer, actuator, acted, self.likelihood))
@@ -169,9 +168,9 @@ class _Trial:
         self.tell(1)
         return found
 
-    def disturbed(self, design: Design, actuator: Actuator | None = None) -> Design:
+    def disturbed(self, design: Design) -> Design:
         """The design with its errors against the disturbed twin."""
-        return replace(design, against_twin={case.name: self.error(design, self.motion, case, LOST, actuator)
+        return replace(design, against_twin={case.name: self.error(design, self.motion, case, LOST)
                                              for case in CASES})
 
     def all(self, designs: list[Design]) -> list[Design]:

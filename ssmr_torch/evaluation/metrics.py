@@ -9,6 +9,8 @@ import numpy as np
 
 SETTLING_TIME = 1.0
 TIME_TOLERANCE = 1e-9
+# s between the points of a path at which obstacles are judged
+JUDGED_EVERY = 1e-3
 
 
 class SolveTimes(NamedTuple):
@@ -139,9 +141,36 @@ def solve_times(seconds: np.ndarray, period: float) -> SolveTimes:
                       float((seconds > period).mean()))
 
 
+def resampled(time: np.ndarray, position: np.ndarray, spacing: float = JUDGED_EVERY) -> tuple[np.ndarray, np.ndarray]:
+    """Times (K,) s, `spacing` apart and the samples' own among them, and positions (K, q) m of the cubic spline there.
+
+    time (T,) s, increasing; position (T, q) m, finite. The spline passes through every sample, with continuous velocity
+    and acceleration (SciPy's CubicSpline, not-a-knot). Raises ValueError for times that do not increase, or numbers
+    that are not finite.
+    """
+    from scipy.interpolate import CubicSpline  # a controller that reads nothing but a run needs no SciPy
+
+    parts = np.maximum(np.ceil(np.diff(time) / spacing - TIME_TOLERANCE).astype(int), 1)
+    between = [np.linspace(start, end, count, endpoint=False) for start, end, count in zip(time, time[1:], parts)]
+    times = np.concatenate([*between, time[-1:]])
+    return times, CubicSpline(time, position)(times) if len(time) > 1 else np.array(position)
+
+
+def obstacle_violations(time: np.ndarray, position: np.ndarray, obstacles) -> Violations:
+    """`violations` of obstacles (`clearance(time, position)`) by the path `resampled` at 1 ms: between samples too.
+
+    time (T,) s; position (T, q) m in the tracked outputs. Raises ValueError as `resampled` does.
+    """
+    time, position = resampled(time, position)
+    return violations(-np.stack([obstacle.clearance(time, position) for obstacle in obstacles], axis=1))
+
+
 def closed_loop_metrics(record, obstacles=()) -> dict[str, float]:
-    """ISE (m²), RMSE and largest error (m), solve times (s), and fallbacks of a `ClosedLoopRecord`; with obstacles
-    (`clearance(time, tracked outputs)`) the share of samples inside one, and the depth (m) of the deepest.
+    """ISE (m²), RMSE and largest error (m), solve times (s), and fallbacks of a `ClosedLoopRecord`.
+
+    With obstacles the share of the time inside one, and the depth (m) of the deepest, as `obstacle_violations` finds
+    them. With plans under constraints the largest violation, margins included, that one of them foresaw (m), and how
+    many steps had to soften hard constraints.
     """
     position = record.observation[:, list(record.tracked)]
     arguments = (record.time, position, record.reference)
@@ -150,8 +179,12 @@ def closed_loop_metrics(record, obstacles=()) -> dict[str, float]:
              "max_error": max_tracking_error(*arguments), "solve_time_median": times.median,
              "solve_time_p99": times.p99, "fallbacks": float(record.fallback.sum())}
     if obstacles:
-        depth = -np.min([obstacle.clearance(record.time, position) for obstacle in obstacles], axis=0)
-        found |= {"violation_ratio": float((depth > 0).mean()), "max_violation": float(max(depth.max(), 0.0))}
+        inside = obstacle_violations(record.time, position, obstacles)
+        found |= {"violation_ratio": inside.ratio, "max_violation": inside.maximum}
+    planned = record.violation[np.isfinite(record.violation)]
+    if len(planned):
+        found |= {"planned_violation": float(planned.max()),
+                  "softened": float(sum(status == "SOFTENED" for status in record.statuses))}
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ssmr_torch import __version__
-from ssmr_torch.closed_loop import ClosedLoopRecord
+from ssmr_torch.closed_loop import ClosedLoopRecord, planned_violations
 from ssmr_torch.wire.controller_end import ControllerEnd, code_of
 from ssmr_torch.wire.messages import Code
 
@@ -36,7 +36,8 @@ def record_of(end: ControllerEnd, task, provenance: dict | None = None) -> Close
         iterations=np.array([0 if command.plan is None else command.plan.iterations for command in commands]),
         statuses=tuple(_status(command, code) for command, code in zip(commands, codes)),
         tracked=task.columns(card.output_names), output_names=card.output_names, input_names=card.input_names,
-        input_unit=card.input_unit, provenance=settings | (provenance or {}))
+        input_unit=card.input_unit, provenance=settings | (provenance or {}),
+        violation=planned_violations(commands))
 
 
 def _status(command, code: Code) -> str:

@@ -55,7 +55,7 @@ CONTROLLERS = {
     "predictive, arcs, observed": lambda bench: ModelPredictiveController(
         arcs(bench.oscillators()), TASK, bench.BOUNDS, observer=partial(KalmanObserver, extended=True)),
     "static pregain": lambda bench: StaticPregainController(lifted(bench.oscillators()), SLOW, bench.BOUNDS,
-                                                            input_weight=1e5),
+                                                            input_weight=3.6e4),
 }
 
 

@@ -15,7 +15,7 @@ from ssmr_torch.models.output_coordinates import ConstantCurvature, Identity, Mi
 def problem_of(bench, horizon=6, **changes):
     settings = {"reference": lambda time: 0.01 * np.sin(3 * time[:, None] + np.arange(6)),
                 "input_bounds": bench.BOUNDS, "output_weight": 1e8 * np.array([1, 2, 0, 0, 0.1, 0]),
-                "terminal_weight": 3e7, "input_weight": np.array([10.0, 5, 20, 10]), "horizon": horizon}
+                "terminal_weight": 3e7, "input_weight": np.array([3.6, 1.8, 7.2, 3.6]), "horizon": horizon}
     return TrackingProblem(**settings | changes)
 
 

@@ -53,7 +53,7 @@ class LoadedPlant:
 def held(bench, observer, **settings):
     model = seen_in_part(bench.oscillators(degree=2))
     controller = ModelPredictiveController(model, HOLD, bench.BOUNDS, observer=observer, first_iterations=3,
-                                           **settings)
+                                           input_weight=36.0, **settings)
     record = simulate(LoadedPlant(bench), controller, HOLD, noise_std=NOISE)
     return np.abs(record.error[-200:].mean(0)).max(), controller
 
@@ -191,7 +191,8 @@ def test_a_prepared_step_costs_what_an_unprepared_one_does(bench):
             assert not (prepare and k > 2 and not command.held) or len(condensed) == before
             if prepare:
                 controller.prepare()
-            cost += 1e8 * np.sum((observation[:2] - task.reference(0.01 * k)[0])**2) + 10 * np.sum(command.input**2)
+            effort = controller.settings.input_weight * np.sum((command.input / 0.6)**2)
+            cost += 1e8 * np.sum((observation[:2] - task.reference(0.01 * k)[0])**2) + effort
             observation = plant.step(command.input)
         assert not controller.fallbacks
         costs.append(cost)

@@ -17,7 +17,7 @@ N = 6
 def problem_of(bench, **changes):
     settings = {"reference": lambda time: 0.012 * np.sin(8 * time[:, None] + np.arange(6)),
                 "input_bounds": bench.BOUNDS, "output_weight": 1e8 * np.array([1, 1, 0, 0, 0, 0]),
-                "input_weight": 10.0, "horizon": N}
+                "input_weight": 3.6, "horizon": N}
     return TrackingProblem(**settings | changes)
 
 
@@ -37,10 +37,10 @@ def solved(bench, problem, seed=0, **options):
 
 def test_without_active_bounds_the_plan_is_that_of_dynamic_programming(bench):
     """z⁺ = A z + B u and quadratic costs: backward Riccati recursion with a linear term for the reference."""
-    problem = problem_of(bench, input_bounds=[[-9.0] * 4, [9.0] * 4], terminal_weight=3e8)
+    problem = problem_of(bench, input_bounds=[[-9.0] * 4, [9.0] * 4], input_weight=3240.0, terminal_weight=3e8)
     model = bench.oscillators(1, 1, 0).at_timestep(problem.period)
     A, B, _ = model.linearize(np.zeros(6), np.zeros(4))
-    reference, R = problem.reference_ahead(0.0), np.diag(problem.input_weight)
+    reference, R = problem.reference_ahead(0.0), np.diag(problem.input_weight / problem.input_scale**2)
     gains, P, q = [], np.zeros((6, 6)), np.zeros(6)
     for k in reversed(range(N)):
         Q = np.diag(problem.stage_weight[k])

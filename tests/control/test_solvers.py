@@ -61,7 +61,7 @@ def test_a_solver_of_another_package_steers_by_its_path(elsewhere, bench):
     solution = solver_named(f"{elsewhere}:ProjectedGradient", 2, 0, iterations=100).solve(PROBLEM)
     np.testing.assert_allclose(solution.x, [1.0, -1.0], atol=1e-6)
     task, first = figure_eight(laps=1.0), 1e-3 * np.ones(6)
-    ours, theirs = (ModelPredictiveController(bench.oscillators(), task, bench.BOUNDS, qp=qp, input_weight=1e5,
+    ours, theirs = (ModelPredictiveController(bench.oscillators(), task, bench.BOUNDS, qp=qp, input_weight=3.6e4,
                                                step_budget=None)  # in Python it is slow
                     for qp in ("proxqp", f"{elsewhere}:ProjectedGradient"))
     assert type(theirs.solver).__name__ == "ProjectedGradient"

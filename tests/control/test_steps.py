@@ -53,7 +53,8 @@ def rms(outputs):
 
 @pytest.mark.parametrize("kind", [
     "SSMR on the chart", "SSMR, horizon 10, rate", "SSMR, late measurements", "SSMR, Kalman", "SSMR, extended Kalman",
-    "SSMR, rate, daqp", "SSMR, 20 circles, rate", "SSMR, 20 circles, daqp", "DMD", "DMD, Kalman", "EDMD",
+    "SSMR, rate, daqp", "SSMR, 20 circles, rate", "SSMR, 20 circles, daqp", "SSMR, actuator",
+    "SSMR, rubbing actuator, rate", "DMD", "DMD, Kalman", "EDMD",
     "static pregain"])
 def test_hostile_steps_raise_nothing_stay_in_bounds_end_in_time_and_leave_nothing_behind(hostile, kind):
     found = hostile.endure(hostile.KINDS[kind], 2000, seed=1)
@@ -93,13 +94,16 @@ def test_a_repeated_call_changes_nothing_and_falls_back_to_the_input_that_is_hel
     assert one.fallbacks == {Status.WRONG_TIME: 60} and one.counts == {"repeated": 60}
 
 
+@pytest.mark.parametrize("approach", [0.0, 0.4])
 @pytest.mark.parametrize("jump", [-0.5, 20.0])
-def test_where_time_jumps_the_controller_begins_anew_from_where_the_robot_is(bench, jump):
-    observer = OBSERVERS["output, stationary"]
-    controller, late = (bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, observer=observer) for _ in range(2))
+def test_where_time_jumps_the_controller_begins_anew_from_where_the_robot_is(bench, jump, approach):
+    """As one that has not moved yet but for the input that is held: it approaches the reference from there again."""
+    controller, late = (bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, approach=approach,
+                                         observer=OBSERVERS["output, stationary"]) for _ in range(2))
     _, before = steered(bench, controller, 60)
     y = np.full(6, 2e-3)
     late._last_input = before[-1].input
+    late.actuator.rest_at(before[-1].input)
     late._start_anew()
     for k in range(10):
         ours, theirs = (one(0.6 + jump + 0.01 * k, y + 1e-5 * k) for one in (controller, late))
@@ -274,7 +278,7 @@ def test_a_lambda_can_be_copied_and_says_that_it_cannot_be_pickled():
 @pytest.mark.parametrize("copied", COPIED.values(), ids=COPIED)
 @pytest.mark.parametrize("kind", [
     "SSMR on the chart", "SSMR, horizon 10, rate", "SSMR, extended Kalman", "SSMR, Kalman", "SSMR, 20 circles, rate",
-    "SSMR, 20 circles, daqp", "EDMD", "static pregain"])
+    "SSMR, 20 circles, daqp", "SSMR, actuator", "SSMR, rubbing actuator, rate", "EDMD", "static pregain"])
 def test_the_copy_of_a_controller_gives_the_same_commands_to_the_last_bit(hostile, bench, kind, copied):
     controller = hostile.KINDS[kind]()
     steered(bench, controller, 101)

@@ -1,24 +1,31 @@
 """Claims about margins from held-out runs."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from ssmr_torch.closed_loop import simulate
+from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.control.tightening import prediction_margins
+from ssmr_torch.control.observers import KalmanObserver
+from ssmr_torch.control.tightening import prediction_margins, tightened
 from ssmr_torch.tasks.obstacles import Circle
 from ssmr_torch.tasks.references import figure_eight
 from ssmr_torch.trajectory import Trajectory
 
 
+def driven(model, bench, inputs):
+    """(observation, input) of the plant under these inputs."""
+    plant = bench.ModelPlant(model)
+    return np.stack([plant.reset(), *(plant.step(u) for u in inputs[:-1])]), inputs
+
+
 def run_of(model, bench, samples=600, seed=0):
     """The plant under inputs that change every tenth sample."""
-    rng, plant = np.random.default_rng(seed), bench.ModelPlant(model)
-    inputs = np.repeat(rng.uniform(0, 0.3, (samples // 10, 4)), 10, axis=0)
-    observation = [plant.reset(), *(plant.step(u) for u in inputs[:-1])]
-    return Trajectory(0.01 * np.arange(samples), np.stack(observation), inputs)
+    inputs = np.repeat(np.random.default_rng(seed).uniform(0, 0.3, (samples // 10, 4)), 10, axis=0)
+    return Trajectory(0.01 * np.arange(samples), *driven(model, bench, inputs))
 
 
 def test_a_model_that_is_right_needs_no_margin_and_one_that_is_wrong_more_of_it_further_ahead(bench):
@@ -39,6 +46,80 @@ def test_the_margin_is_the_quantile_of_the_errors_of_prediction(bench):
         errors.append(np.linalg.norm(states[6, :2] - run.observation[start + 6, :2]))
     found = prediction_margins(off, [run], (0, 1), horizon=3, period=0.02, quantile=0.9)
     assert found[2] == pytest.approx(np.quantile(errors, 0.9), rel=1e-12)
+
+
+def controller_of(model, bench, task=None, **settings):
+    return ModelPredictiveController(model, figure_eight(laps=1.0) if task is None else task, bench.BOUNDS, **settings)
+
+
+def test_the_margins_of_a_controller_without_an_observer_are_those_of_its_model(bench):
+    off = bench.perturbed(bench.oscillators(), 0.03)
+    run = run_of(bench.oscillators(), bench)
+    found = prediction_margins(controller_of(off, bench), [run], (0, 1), quantile=0.9)
+    later = Trajectory(run.time[:500], run.observation[100:], run.input[100:])  # without the second of settling
+    np.testing.assert_allclose(found, prediction_margins(off, [later], (0, 1), horizon=5, period=0.02, quantile=0.9),
+                               rtol=1e-9)
+
+
+def test_an_observer_that_finds_the_disturbance_makes_the_margins_small(bench):
+    """The robot hangs 2 mm beside the model: the chart takes that for a state, the observer for an offset."""
+    model = bench.oscillators()
+    run = run_of(model, bench, samples=1500)
+    aside = Trajectory(run.time, run.observation + [2e-3, 0, 0, 0, 0, 0], run.input)
+    chart, observed = (prediction_margins(controller_of(model, bench, observer=observer), [aside], (0, 1))
+                       for observer in (None, partial(KalmanObserver, disturbance="output")))
+    assert observed[-1] < 0.2 * chart[-1]
+
+
+def test_measurements_that_are_late_are_bridged_before_the_prediction(bench):
+    model = replace(bench.oscillators(), substeps=4)
+    run = run_of(model, bench)
+    late = Trajectory(run.time, np.vstack([run.observation[:1], run.observation[:-1]]), run.input)
+    told = prediction_margins(controller_of(model, bench, measurement_delay=0.01), [late], (0, 1))
+    assert told[0] < 1e-3 * prediction_margins(controller_of(model, bench), [late], (0, 1))[0]
+
+
+def test_an_actuator_is_in_the_prediction_and_its_delay_before_the_first_stage(bench):
+    """The robot feels the commands two samples late and lagged: told so, the prediction of six samples is exact."""
+    model = replace(bench.oscillators(), substeps=4)
+    actuator = Actuator(0.01, (0.6,) * 4, delay=2, lag=0.015)
+    commands = run_of(model, bench).input
+    acting = Trajectory(0.01 * np.arange(600), *driven(model, bench, actuator.acting(commands)))
+    run = Trajectory(acting.time, acting.observation, commands)
+    settings = {"period": 0.01, "horizon": 4}
+    told = prediction_margins(controller_of(model, bench, actuator=actuator, **settings), [run], (0, 1))
+    assert told.max() < 1e-12 < 1e-4 < prediction_margins(controller_of(model, bench, **settings), [run], (0, 1))[0]
+
+
+def test_a_tightened_controller_says_its_margins_keeps_them_and_starts_anew(bench):
+    circle = Circle((0.0106, -0.0125), 0.004)
+    run = run_of(bench.oscillators(), bench)
+    controller = controller_of(bench.perturbed(bench.oscillators(), 0.03), bench,
+                               replace(figure_eight(laps=1.0), obstacles=(circle,)), margin_quantile=0.9)
+    first = controller(0.0, np.zeros(6)).input
+    assert tightened(controller, [run]) is controller
+    expected = prediction_margins(controller, [run], (0, 1), quantile=0.9)
+    np.testing.assert_array_equal(controller.settings.margins, expected)
+    np.testing.assert_array_equal(controller.problem.constraints.margins, expected)
+    np.testing.assert_allclose(controller(0.0, np.zeros(6)).input, first, atol=1e-12)
+    wider = tightened(controller, [run], 0.99).settings
+    assert wider.margin_quantile == 0.99 and wider.margins[-1] > expected[-1]
+
+
+def test_a_run_of_another_timestep_than_the_controllers_is_refused(bench):
+    run = run_of(bench.oscillators(), bench)
+    faster = Trajectory(run.time / 2, run.observation, run.input)
+    with pytest.raises(ValueError, match="timestep of 0.005 s; the controller expects its own, 0.01 s"):
+        prediction_margins(controller_of(bench.oscillators(), bench), [faster], (0, 1))
+    with pytest.raises(ValueError, match="a model needs both"):
+        prediction_margins(bench.oscillators(), [run], (0, 1), horizon=5)
+
+
+def test_a_model_whose_predictions_leave_the_reach_of_the_runs_gives_no_margin(bench):
+    model = bench.oscillators()
+    wild = replace(model, dynamics=40.0 * model.dynamics)
+    with pytest.raises(ValueError, match="errors of prediction is .* m after 5 steps .* the runs reach"):
+        tightened(controller_of(wild, bench), [run_of(model, bench)])
 
 
 def test_with_margins_a_wrong_model_stays_out_of_the_obstacle_that_it_enters_without(bench):

@@ -139,8 +139,8 @@ def tuned(tmp_path_factory):
 def test_the_best_input_weight_lies_between_chatter_and_sluggishness(tuned):
     noisy = tuned["weight"]["noise"]
     errors, unrest = ({weight: pair[index] for weight, pair in noisy.items()} for index in (0, 1))
-    assert errors[100.0] < 0.5 * min(errors[1.0], errors[1e4])
-    assert unrest[1.0] > 3 * unrest[100.0] > 3 * unrest[1e4]
+    assert errors[300.0] < 0.5 * min(errors[3.0], errors[3e4])
+    assert unrest[3.0] > 3 * unrest[300.0] > 3 * unrest[3e4]
 
 
 @pytest.mark.slow

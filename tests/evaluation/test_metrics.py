@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ssmr_torch.evaluation import metrics
+from ssmr_torch.tasks.obstacles import Circle
 
 TIME = 0.02 * np.arange(151)
 
@@ -87,6 +88,23 @@ def test_a_sample_inside_two_obstacles_counts_once_and_touching_is_no_violation(
 def test_without_penetration_or_without_obstacles_nothing_is_violated():
     assert metrics.violations(-np.ones(4)) == (0.0, 0.0)
     assert metrics.violations(np.empty((4, 0))) == (0.0, 0.0)
+
+
+def test_a_path_is_resampled_at_a_millisecond_through_its_samples_and_exactly_for_a_cubic():
+    time = np.array([0.0, 0.01, 0.02, 0.045])
+    times, path = metrics.resampled(time, (1.0 + time**3)[:, None])
+    assert len(times) == 46 and np.diff(times).max() < 1.001e-3 and np.isin(time, times).all()
+    np.testing.assert_allclose(path[:, 0], 1.0 + times**3, rtol=1e-12)
+
+
+def test_an_obstacle_entered_between_two_samples_is_seen():
+    time = 0.01 * np.arange(11)
+    position = np.stack([0.5 * (time - 0.055), np.full(11, 2e-3)], axis=1)  # 5 mm a sample, 5.5 samples to the middle
+    inside = metrics.obstacle_violations(time, position, [Circle((0.0, 0.0), 2.4e-3)])
+    assert inside.maximum == pytest.approx(0.4e-3, rel=0.05)
+    assert inside.ratio == pytest.approx(2 * np.sqrt(2.4**2 - 2.0**2) / 50, abs=0.02)
+    at_samples = -Circle((0.0, 0.0), 2.4e-3).clearance(time, position)
+    assert at_samples.max() < 0
 
 
 def test_solve_times_are_summarized_by_their_order_statistics():

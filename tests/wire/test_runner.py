@@ -95,7 +95,7 @@ def test_the_default_settings_can_be_had_and_built(capsys):
     assert all(printed[part] | chosen == printed[part] for part, chosen in runner.DEFAULT.items())
     assert runner.build(printed["task"]).tracked == ("tip_x", "tip_y")
     numbers = {name: value for name, value in printed["controller"].items() if name != "_target_"}
-    assert PredictiveControlSettings(**numbers) == PredictiveControlSettings() and numbers["input_weight"] == 100.0
+    assert PredictiveControlSettings(**numbers) == PredictiveControlSettings() and numbers["input_weight"] == 225.0
 
 
 @pytest.mark.parametrize(("settings", "what"), [
