@@ -137,7 +137,7 @@ def record_of(error, task, bench):
     return SimpleNamespace(time=time, error=error, solve_time=np.full(len(error), 1e-3), reference=np.zeros_like(error),
                            observation=error, tracked=(0, 1), input=np.zeros((len(error), 1)),
                            fallback=np.zeros(len(error), dtype=bool),
-                           provenance={"period": 0.01})
+                           violation=np.full(len(error), np.nan), provenance={"period": 0.01})
 
 
 def test_a_loop_is_lost_when_it_is_far_beyond_the_static_floor_for_a_third_of_a_second(benchmark, bench):

@@ -51,13 +51,6 @@ class DisturbanceObserver:
         self._gate = InnovationGate()
         self.reset()
 
-    def __getstate__(self) -> dict:
-        return {name: value for name, value in vars(self).items() if name != "_step"}
-
-    def __setstate__(self, state: dict) -> None:
-        vars(self).update(state)
-        self._step = stepper(self.model)  # compiled for this process
-
     def reset(self) -> None:
         self.counts: Counter[str] = Counter()
         self._z, self._d = np.zeros(self.model.state_dim), np.zeros(self.model.output_dim)
