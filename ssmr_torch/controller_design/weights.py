@@ -32,6 +32,7 @@ EXTRA_DELAY = 0.06   # s, that a loop must stand, but no more than `SHARE_OF_LOO
 SHARE_OF_LOOP = 3.0  # samples beyond the actuator's own delay and lag
 PEAK = 2.0           # of the sensitivity
 SCREENED_BY = (2, 3)  # cases of the twin that the best design of every pace and move weight is tried in first
+SMALLER = (0.5, 0.25) # of the recorded motion, where the loop is lost along it without any disturbance
 TRIES = 8            # designs that are tried in all cases
 FAR = 1.25           # times the least error out of reach, that a design may make there
 DRIFT = 0.01         # of the sensors' noise: what a disturbance changes by in a sample at least, in the predicted error
@@ -166,12 +167,13 @@ class _Trial:
         self.chosen, self.actuator, self.acted, self.likelihood = chosen, actuator, acted, likelihood
         self.noises, self.tell = noises, tell
         self.motion = recorded_motion(acted, task.tracked)
+        self.names = task.tracked
         self.far = recorded_motion(acted, task.tracked, scale=WIDER)
 
     def error(self, design: Design, path: Task, case: Case, lost: float) -> float:
         acted, actuator = self.acted, self.actuator
         controller = ModelPredictiveController(
-            self.chosen.model, path, acted.bounds, timestep=acted.timestep, output_names=acted.output_names,
+            self.chosen.model, path, acted.trusted_bounds, timestep=acted.timestep, output_names=acted.output_names,
             settings=settings_of(design.weights, design.observer, actuator, acted, self.likelihood))
         twin = Twin(self.chosen.twin, self.actuator, acted, self.noises, case)
         found = tracking_error(twin, controller, path, acted.tracked, lost=lost)
@@ -183,8 +185,16 @@ class _Trial:
         return replace(design, against_twin={case.name: self.error(design, self.motion, case, LOST)
                                              for case in cases})
 
+    def _within_reach(self, design: Design) -> None:
+        """A smaller motion where the recorded one, which swings further than the robot stays, is lost as it is."""
+        for scale in SMALLER:
+            if np.isfinite(self.error(design, self.motion, CASES[0], LOST)):
+                return
+            self.motion = recorded_motion(self.acted, self.names, scale=scale)
+
     def all(self, designs: list[Design]) -> list[Design]:
         """Of the best designs those that stay close to a motion out of reach, with their errors."""
+        self._within_reach(designs[0])
         screened = [self.disturbed(each, [CASES[k] for k in SCREENED_BY]) for each in designs]
         designs = sorted(screened, key=_score)[:TRIES]
         far = [self.error(each, self.far, CASES[0], np.inf) for each in designs]

@@ -37,13 +37,13 @@ def _actuator(report) -> Figure | None:
     _profile(axes[0], [1e3 * h * delay for delay in found.by_delay], found.by_delay.values(),
              1e3 * h * found.actuator.delay, "delay (ms)")
     _profile(axes[1], [1e3 * lag for lag in found.by_lag], found.by_lag.values(), 1e3 * found.actuator.lag, "lag (ms)")
-    for name, label, factor in (("play", "play (half, % of range)", 100.0), ("friction", "cable friction (μθ, %)", 100.0)):
+    for name, label in (("play", "play (half, % of range)"), ("friction", "cable friction (μθ, %)")):
         values = {value: error for (kind, value), error in found.by_friction.items() if kind == name}
         if values:
-            axes[2].plot([factor * value for value in values], [100 * error for error in values.values()], "o-",
+            axes[2].plot([100 * value for value in values], [100 * error for error in values.values()], "o-",
                          label=label)
     axes[2].set_xlabel("hysteresis (%)")
-    axes[2].legend()
+    axes[2].legend(loc="upper center", bbox_to_anchor=(0.5, 1.3))
     axes[0].set_ylabel("held-out error (% of the reach)")
     for axis in axes:
         axis.set_yscale("log")
