@@ -27,8 +27,8 @@ from ssmr_torch.controller_design.model_choice import (
     spectral_radii,
 )
 from ssmr_torch.controller_design.noises import Likelihood
-from ssmr_torch.controller_design.recordings import Recordings, held_out, recordings_of
 from ssmr_torch.controller_design.readjustment import operation_error
+from ssmr_torch.controller_design.recordings import Recordings, held_out, recordings_of
 from ssmr_torch.controller_design.report import DesignReport
 from ssmr_torch.controller_design.weights import choose_weights
 from ssmr_torch.provenance import provenance
@@ -96,10 +96,9 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
     report = DesignReport(recordings, found, chosen, noises, search, likelihood, task.name, perf_counter() - began)
     # in the order in which an artifact gives arrays back: products of another order are rounded otherwise
     ordered = chosen.model.with_arrays(np.ascontiguousarray)
+    facts = report.facts | {"operation_error": operation_error(chosen.model, found.actuator, recordings)}
     controller = DesignedController(ordered, task, recordings.trusted_bounds, settings, timestep=data.timestep,
-                                    output_names=data.output_names, facts=report.facts | {"operation_error": operation_error(
-                                        chosen.model, found.actuator, recordings)},
-                                    card=_card(data, _name(model)))
+                                    output_names=data.output_names, facts=facts, card=_card(data, _name(model)))
     if controller.problem.constraints is not None:
         tightened(controller, held_out(data), MARGIN_QUANTILE)
     return Designed(controller, report)

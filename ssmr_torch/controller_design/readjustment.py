@@ -30,8 +30,8 @@ MOVED = 0.02                     # of the range, that the inputs must move from 
 @dataclass(frozen=True)
 class Readjustment:
     """actuator: what explains the record best.   before, after: rms error of predictions over 1 … 20 samples of the
-    tracked outputs, of the design's reach, with the controller's own actuator and with this one.   accepted: whether it is
-    believed.   words: why.
+    tracked outputs, of the design's reach, with the controller's own actuator and with this one.   accepted: whether it
+    is believed.   words: why.
     """
 
     actuator: Actuator
@@ -114,7 +114,7 @@ def readjustment(controller, records, *, expected: float | None = None, fixed_fr
     as well as the design predicted its held-out runs.
 
     records: one `ClosedLoopRecord` or more, some 12 s in all, with fast motion or dither: a slow circle does not show a
-    delay.   expected: of the reach, error of the design on held-out runs over the same samples; None: that of its facts.
+    delay.   expected: of the reach, error of the design on held-out runs over the same samples; None: of its facts.
     fixed_friction: whether cable friction is left out, as for inputs that push and pull.
     Raises ValueError where the records are too short, stand still, or are of another robot.
     """
