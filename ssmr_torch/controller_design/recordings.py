@@ -85,7 +85,7 @@ class Recordings:
 
     @cached_property
     def trusted_bounds(self) -> np.ndarray:
-        """(2, m), of the commands: as far as the recordings go and a quarter of their span beyond, within the bounds and
+        """(2, m), of the commands: as far as the recordings go and a quarter of their span beyond, within the bounds,
         with the neutral input. Further out a polynomial may say anything.
         """
         inputs = np.concatenate([piece.input for piece in self.all] + [self.neutral[None]])
