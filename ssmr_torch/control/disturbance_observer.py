@@ -12,6 +12,7 @@ from ssmr_torch.control.gate import InnovationGate
 from ssmr_torch.control.stepping import Stepper
 
 BEYOND = 1.2      # times the recorded range: a state there which mispredicts as well is lost
+PATIENCE = 50     # samples after a start anew before the next: else a robot that is beyond the range is never followed
 FAR = 3.0         # times the recorded range: no state is there, whatever is measured
 STRANGE = 10      # samples that it must do so
 SETTLING = 10.0   # s that the model is given to come to rest
@@ -114,7 +115,7 @@ class DisturbanceObserver:
         z, _, _ = self._chart.state()
         known = bool(np.isfinite(z).all())
         if known:
-            self._z, self._strange = np.clip(z, -self._range, self._range), 0
+            self._z, self._strange = np.clip(z, -self._range, self._range), -PATIENCE
             self._gate.reset()
         return known
 

@@ -24,7 +24,8 @@ def tracking_problem(settings: PredictiveControlSettings, reference: TrackedRefe
     linear, quadratic = (2.0 * settings.horizon * PULL * weight, 10.0 * weight) \
         if settings.violation_weight is None else settings.violation_weight
     constraints = constraints_of(reference.task, columns, p, settings, linear=linear, quadratic=quadratic)
-    planned, whole = (actuator.reachable(bounds), np.ptp(bounds, axis=0)) if actuator.rubs else (bounds, None)
+    planned = actuator.reachable(bounds) if actuator.rubs else bounds
+    whole = None if settings.actuator is None else np.array(actuator.input_range)
     return TrackingProblem(reference, planned, weight * tracked, settings.input_weight,
                            settings.terminal_weight * tracked, settings.input_rate, settings.horizon, settings.period,
                            constraints, settings.move_weight, settings.huber, input_range=whole,

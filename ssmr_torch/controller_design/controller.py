@@ -32,6 +32,6 @@ def settings_of(weights: Weights, observer: Observer, actuator: Actuator, acted:
         horizon=weights.horizon, period=acted.timestep, output_weight=1.0 / (weights.tolerance * reach)**2,
         input_weight=weights.input, input_target=tuple(acted.usual_input.tolist()),
         move_weight=weights.move, huber=HUBER * reach, observer=watch,
-        actuator=None if actuator.trivial else actuator, approach=APPROACH, safe_input=tuple(neutral.tolist()),
+        actuator=actuator, approach=APPROACH, safe_input=tuple(neutral.tolist()),
         input_rate=None if actuator.rate is None else tuple((actuator.rate * np.array(actuator.input_range)).tolist()),
         frozen_after=0 if actuator.rubs else 5)

@@ -27,6 +27,7 @@ from ssmr_torch.controller_design.model_choice import (
     spectral_radii,
 )
 from ssmr_torch.controller_design.noises import Likelihood
+from ssmr_torch.controller_design.readjustment import operation_error
 from ssmr_torch.controller_design.recordings import Recordings, held_out, recordings_of
 from ssmr_torch.controller_design.report import DesignReport
 from ssmr_torch.controller_design.weights import choose_weights
@@ -36,7 +37,7 @@ from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 
 MARGIN_QUANTILE = 0.95   # of the held-out errors, by which constraints are tightened
 DISBELIEF = 1.2      # times the error without an actuator: one with which the best model misses by more is not believed
-LOOPS = 240          # steps of the bar: designs whose margins are looked at, and loops against the twin
+LOOPS = 340          # steps of the bar: designs whose margins are looked at, and loops against the twin
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +62,11 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
     1. Delay, lag, friction and rate limit of the actuators, by what a cheap model predicts of held-out runs.
     2. The model, trained on inputs that act. model: "predictive" (or None, "auto"): a predictive chart chosen by the
        held-out runs; another kind of conf/model, such as "ssmr" or "dmd", fitted by its defaults; or a `TrainedModel`,
-       whose kind is fitted again where the inputs that act are not the commands, with the options it was fitted with.
+       whose kind is fitted again, by its defaults, where the inputs that act are not the commands.
     3. Noises of inputs, states, disturbance and sensors by the likelihood of held-out runs; the stationary observer.
     4. Observer and weights by margins along the recordings and by loops against a twin, a second model.
 
+    Commands stay within what was recorded and a quarter of that span beyond: further out a model may say anything.
     Obstacles and output bounds are tightened, at each step of the horizon, by the 95 % quantile of what the controller
     misses of the held-out runs.
 
@@ -94,9 +96,9 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
     report = DesignReport(recordings, found, chosen, noises, search, likelihood, task.name, perf_counter() - began)
     # in the order in which an artifact gives arrays back: products of another order are rounded otherwise
     ordered = chosen.model.with_arrays(np.ascontiguousarray)
-    controller = DesignedController(ordered, task, recordings.bounds, settings, timestep=data.timestep,
-                                    output_names=data.output_names, facts=report.facts,
-                                    card=_card(data, _name(model)))
+    facts = report.facts | {"operation_error": operation_error(chosen.model, found.actuator, recordings)}
+    controller = DesignedController(ordered, task, recordings.trusted_bounds, settings, timestep=data.timestep,
+                                    output_names=data.output_names, facts=facts, card=_card(data, _name(model)))
     if controller.problem.constraints is not None:
         tightened(controller, held_out(data), MARGIN_QUANTILE)
     return Designed(controller, report)

@@ -30,8 +30,8 @@ MOVED = 0.02                     # of the range, that the inputs must move from 
 @dataclass(frozen=True)
 class Readjustment:
     """actuator: what explains the record best.   before, after: rms error of predictions over 1 … 20 samples of the
-    tracked outputs, of the reach, with the controller's own actuator and with this one.   accepted: whether it is
-    believed.   words: why.
+    tracked outputs, of the design's reach, with the controller's own actuator and with this one.   accepted: whether it
+    is believed.   words: why.
     """
 
     actuator: Actuator
@@ -100,6 +100,11 @@ def _with(actuator: Actuator, values: np.ndarray) -> Actuator:
     return replace(actuator, gain=tuple(values[:m].tolist()), offset=tuple(values[m:].tolist()))
 
 
+def operation_error(model, actuator: Actuator, recordings) -> float:
+    """What a design misses of its own held-out runs, as `Readjustment` measures it, of the reach."""
+    return _Search(model, recordings.held, recordings.tracked, recordings.reach).error(actuator)
+
+
 def readjustment(controller, records, *, expected: float | None = None, fixed_friction: bool = False,
                  say: Callable[[str], None] = lambda line: None) -> Readjustment:
     """The actuator that explains records of the working controller best, its model held as it is.
@@ -109,7 +114,7 @@ def readjustment(controller, records, *, expected: float | None = None, fixed_fr
     as well as the design predicted its held-out runs.
 
     records: one `ClosedLoopRecord` or more, some 12 s in all, with fast motion or dither: a slow circle does not show a
-    delay.   expected: of the reach, error of the design on held-out runs over the same samples; None: not compared.
+    delay.   expected: of the reach, error of the design on held-out runs over the same samples; None: of its facts.
     fixed_friction: whether cable friction is left out, as for inputs that push and pull.
     Raises ValueError where the records are too short, stand still, or are of another robot.
     """
@@ -117,7 +122,10 @@ def readjustment(controller, records, *, expected: float | None = None, fixed_fr
     pieces = [_piece(record, controller) for record in records]
     _check(pieces, controller)
     tracked = controller.task.columns(records[0].output_names)
-    reach = float(max(np.nanmax(np.linalg.norm(piece.observation[:, list(tracked)], axis=1)) for piece in pieces))
+    facts = getattr(controller, "facts", {})
+    expected = facts.get("operation_error") if expected is None else expected
+    reach = facts.get("reach") or float(max(np.nanmax(np.linalg.norm(piece.observation[:, list(tracked)], axis=1))
+                                            for piece in pieces))
     search = _Search(controller.model, pieces, tracked, reach)
     best = begin = controller.actuator.actuator
     most = begin.delay + MORE_DELAY

@@ -135,13 +135,14 @@ def _static(controller, task: Task, columns) -> tuple[np.ndarray, dict]:
     columns, middle = list(columns), 0.5 * (lower + upper)
     z, _ = controller.estimator.rest(actuator.factor * controller.safe_input + actuator.shift)
     u = actuator.factor * np.clip(controller.safe_input, *controller.input_bounds) + actuator.shift
-    floor, at_bound = [], 0
+    floor, at_bound, start = [], 0, (z, u)
     for point in task.reference(np.linspace(0.0, task.duration, POINTS)):
         best = np.inf
         for _ in range(ITERATIONS):
             z, y = _settled(step, z, u, round(SETTLED / controller.timestep))
             error = y[columns] - point
-            if not np.isfinite(error).all():
+            if not np.isfinite(error).all():  # the model leaves its range: the next point begins at rest again
+                z, u = start
                 break
             best = min(best, float(np.linalg.norm(error)))
             A, B, _ = fine.linearize(z, u)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -21,7 +21,7 @@ from ssmr_torch.tasks.references import Task
 OF_STATES, OF_SENSOR = (1.0, 0.1, 0.01), (1.0, 4.0)
 # What a disturbance may change by in a sample, of the sensors' noise. The recordings tell nothing of it: they hold no
 # payload. One over it is about the samples that the observer takes to find one.
-OF_DISTURBANCE = (0.003, 0.01, 0.03, 0.1)
+OF_DISTURBANCE = (0.003, 0.01, 0.03, 0.1, 0.3)
 MOVES = (4.0, 40.0, 400.0, 4e3, 4e4, 4e5)
 TOLERANCE, HORIZON = 1e-3, 10
 # The input weight: this share of the move weight, so that directions which tracking leaves free settle within ten
@@ -31,7 +31,9 @@ POINTS = 4           # along the recordings, at which margins are asked for
 EXTRA_DELAY = 0.06   # s, that a loop must stand, but no more than `SHARE_OF_LOOP` of its own time
 SHARE_OF_LOOP = 3.0  # samples beyond the actuator's own delay and lag
 PEAK = 2.0           # of the sensitivity
-TRIES = 3            # designs that are tried against the twin, for each pace of the disturbance
+SCREENED_BY = (2, 3)  # cases of the twin that the best design of every pace and move weight is tried in first
+SMALLER = (0.5, 0.25) # of the recorded motion, where the loop is lost along it without any disturbance
+TRIES = 8            # designs that are tried in all cases
 FAR = 1.25           # times the least error out of reach, that a design may make there
 DRIFT = 0.01         # of the sensors' noise: what a disturbance changes by in a sample at least, in the predicted error
 
@@ -143,12 +145,13 @@ def choose_weights(chosen: ChosenModel, actuator: Actuator, acted: Recordings, l
 
 
 def _picked(designs: list[Design], safe: bool) -> list[Design]:
-    """The best `TRIES` of every pace of the disturbance: by predicted error where all margins hold, else by margins."""
-    def rank(design: Design) -> float:
-        return design.predicted if safe else design.margins.shortfall(PEAK)
-
-    return sorted((each for pace in OF_DISTURBANCE
-                   for each in sorted((d for d in designs if d.factors[1] == pace), key=rank)[:TRIES]), key=rank)
+    """The best of every pace of the disturbance and move weight: by predicted error where all margins hold, else by
+    margins.
+    """
+    best: dict[tuple[float, float], Design] = {}
+    for each in sorted(designs, key=lambda each: each.predicted if safe else each.margins.shortfall(PEAK)):
+        best.setdefault((each.factors[1], each.weights.move), each)
+    return list(best.values())
 
 
 def _score(design: Design) -> float:
@@ -164,25 +167,36 @@ class _Trial:
         self.chosen, self.actuator, self.acted, self.likelihood = chosen, actuator, acted, likelihood
         self.noises, self.tell = noises, tell
         self.motion = recorded_motion(acted, task.tracked)
+        self.names = task.tracked
         self.far = recorded_motion(acted, task.tracked, scale=WIDER)
 
     def error(self, design: Design, path: Task, case: Case, lost: float) -> float:
         acted, actuator = self.acted, self.actuator
         controller = ModelPredictiveController(
-            self.chosen.model, path, acted.bounds, timestep=acted.timestep, output_names=acted.output_names,
+            self.chosen.model, path, acted.trusted_bounds, timestep=acted.timestep, output_names=acted.output_names,
             settings=settings_of(design.weights, design.observer, actuator, acted, self.likelihood))
         twin = Twin(self.chosen.twin, self.actuator, acted, self.noises, case)
         found = tracking_error(twin, controller, path, acted.tracked, lost=lost)
         self.tell(1)
         return found
 
-    def disturbed(self, design: Design) -> Design:
-        """The design with its errors against the disturbed twin."""
+    def disturbed(self, design: Design, cases: Sequence[Case] = CASES) -> Design:
+        """The design with its errors against the twin, disturbed in these ways."""
         return replace(design, against_twin={case.name: self.error(design, self.motion, case, LOST)
-                                             for case in CASES})
+                                             for case in cases})
+
+    def _within_reach(self, design: Design) -> None:
+        """A smaller motion where the recorded one, which swings further than the robot stays, is lost as it is."""
+        for scale in SMALLER:
+            if np.isfinite(self.error(design, self.motion, CASES[0], LOST)):
+                return
+            self.motion = recorded_motion(self.acted, self.names, scale=scale)
 
     def all(self, designs: list[Design]) -> list[Design]:
-        """Those of the designs that stay close to a motion out of reach, with their errors."""
+        """Of the best designs those that stay close to a motion out of reach, with their errors."""
+        self._within_reach(designs[0])
+        screened = [self.disturbed(each, [CASES[k] for k in SCREENED_BY]) for each in designs]
+        designs = sorted(screened, key=_score)[:TRIES]
         far = [self.error(each, self.far, CASES[0], np.inf) for each in designs]
         # a twin that itself explodes out of reach is no judge there
         allowed = FAR * min(far) if min(far) < 1.0 else np.inf

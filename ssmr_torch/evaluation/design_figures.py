@@ -43,7 +43,7 @@ def _actuator(report) -> Figure | None:
             axes[2].plot([100 * value for value in values], [100 * error for error in values.values()], "o-",
                          label=label)
     axes[2].set_xlabel("hysteresis (%)")
-    axes[2].legend()
+    axes[2].legend(loc="upper center", bbox_to_anchor=(0.5, 1.3))
     axes[0].set_ylabel("held-out error (% of the reach)")
     for axis in axes:
         axis.set_yscale("log")

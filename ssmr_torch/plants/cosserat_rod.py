@@ -27,8 +27,9 @@ class CosseratRod(FlatStatePlant):
     elements: n.   length, radius: m.   density: kg/m³, silicone.   young: Pa, a soft one; shear modulus young / 3.
     drag c_t: N s/m², slows all modes alike.   turning_drag c_r: N s, slows each mode by its slope squared, as the loss
     within a silicone does; both act as exact exponentials.   substep: s; the fastest shear mode allows 0.5 ms.
-    input_bounds: N, signed.   state: (18 n + 6,), positions (3, n + 1), sections' frames (3, 3, n), velocities
-    (3, n + 1), turning (3, n).   Outputs: tip and middle, z up, from the clamp.   Needs the extra `robots`.
+    payload: kg, at the tip.   input_bounds: N, signed.   state: (18 n + 6,), positions (3, n + 1), sections' frames
+    (3, 3, n), velocities (3, n + 1), turning (3, n).   Outputs: tip and middle, z up, from the clamp.   Needs the
+    extra `robots`.
     """
 
     name, input_unit, ENGINE = "Cosserat rod", "N", ("_simulator", "_rod", "_stepper", "_force")
@@ -36,18 +37,22 @@ class CosseratRod(FlatStatePlant):
 
     def __init__(self, *, elements: int = 20, length: float = 0.2, radius: float = 0.01, density: float = 1070.0,
                  young: float = 3e5, drag: float = 1.0, turning_drag: float = 0.006, timestep: float = 0.01,
-                 substep: float = 2.5e-4, input_bounds: Sequence = (-0.15, 0.15), gravity: float = GRAVITY):
+                 substep: float = 2.5e-4, input_bounds: Sequence = (-0.15, 0.15), gravity: float = GRAVITY,
+                 payload: float = 0.0):
         require("elastica")
         if not (elements >= 2 and elements % 2 == 0 and min(length, radius, density, young, drag, turning_drag) > 0):
             raise ValueError(f"elements is {elements}, length {length} m, radius {radius} m, density {density} kg/m³, "
                              f"young {young} Pa, drag {drag} N s/m², turning_drag {turning_drag} N s; expected an even "
                              "number of elements and positive values")
+        if not 0 <= payload < np.inf:
+            raise ValueError(f"payload is {payload} kg; expected 0 or more")
         self.timestep = float(timestep)
         self.substeps = whole_multiple("timestep", timestep, "substep", substep)
         self.input_bounds = input_range(input_bounds, len(self.input_names), self.input_unit)
         self.parameters = {"elements": elements, "length": length, "radius": radius, "density": density,
                            "young": young, "drag": drag, "turning_drag": turning_drag, "timestep": timestep,
-                           "substep": substep, "input_bounds": self.input_bounds.tolist(), "gravity": gravity}
+                           "substep": substep, "input_bounds": self.input_bounds.tolist(), "gravity": gravity,
+                           "payload": payload}
         self._build()
         self._settle(self._hanging())
 
@@ -70,6 +75,7 @@ class CosseratRod(FlatStatePlant):
         self._rod = elastica.CosseratRod.straight_rod(
             of["elements"], np.zeros(3), np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]), of["length"],
             of["radius"], of["density"], youngs_modulus=of["young"], shear_modulus=of["young"] / 3)
+        self._rod.mass[-1] += of["payload"]
         self._simulator.append(self._rod)
         self._simulator.constrain(self._rod).using(
             elastica.OneEndFixedBC, constrained_position_idx=(0,), constrained_director_idx=(0,))

@@ -27,7 +27,8 @@ class TendonChain(FlatStatePlant):
     links: vertebrae.   length: m, of the chain.   mass: kg, of all of it, printed discs and the backbone.
     radius: m, of the circle of holes; a vertebra is a disc that fills it.   stiffness k: N m/rad of one joint, a rod of
     silicone (1.5 MPa) of 12 mm, E I / (length of a link).   damping c: N m s/rad.   substep: s, of MuJoCo.
-    input_bounds: N.   state: (4 links,), q and q̇.   Outputs: tip and middle of the chain, z up, from the base.
+    payload: kg, a point at the tip.   input_bounds: N.   state: (4 links,), q and q̇.   Outputs: tip and middle of the
+    chain, z up, from the base.
     Needs the extra `robots`.
     """
 
@@ -36,18 +37,20 @@ class TendonChain(FlatStatePlant):
 
     def __init__(self, *, links: int = 12, length: float = 0.192, mass: float = 0.03, radius: float = 0.012,
                  stiffness: float = 0.095, damping: float = 0.006, timestep: float = 0.01, substep: float = 0.001,
-                 input_bounds: Sequence = (0.0, 1.2), gravity: float = GRAVITY):
+                 input_bounds: Sequence = (0.0, 1.2), gravity: float = GRAVITY, payload: float = 0.0):
         require("mujoco")
         if not (links >= 2 and links % 2 == 0 and min(length, mass, radius) > 0 <= min(stiffness, damping)):
             raise ValueError(f"links is {links}, length {length} m, mass {mass} kg, radius {radius} m, stiffness "
                              f"{stiffness} N m/rad, damping {damping} N m s/rad; expected an even number of links and "
                              "positive values")
+        if not 0 <= payload < np.inf:
+            raise ValueError(f"payload is {payload} kg; expected 0 or more")
         self.timestep = float(timestep)
         self.substeps = whole_multiple("timestep", timestep, "substep", substep)
         self.input_bounds = input_range(input_bounds, len(SIDES), self.input_unit)
         self.parameters = {"links": links, "length": length, "mass": mass, "radius": radius, "stiffness": stiffness,
                            "damping": damping, "timestep": timestep, "substep": substep,
-                           "input_bounds": self.input_bounds.tolist(), "gravity": gravity}
+                           "input_bounds": self.input_bounds.tolist(), "gravity": gravity, "payload": payload}
         self._build()
         self._settle(np.zeros(4 * links))
 
@@ -87,7 +90,7 @@ class TendonChain(FlatStatePlant):
 
 
 def _description(links: int, length: float, mass: float, radius: float, stiffness: float, damping: float,
-                 substep: float, gravity: float) -> str:
+                 substep: float, gravity: float, payload: float) -> str:
     """MuJoCo's XML. Holes are at both faces of every vertebra, so a tendon runs straight where nothing guides it."""
     link = length / links
     holes = {side: [f'<site site="{side} base"/>'] for side in SIDES}
@@ -102,6 +105,8 @@ def _description(links: int, length: float, mass: float, radius: float, stiffnes
                 holes[side].append(f'<site site="{name}"/>')
         name = {links // 2 - 1: "middle", links - 1: "tip"}.get(i)
         marker = f'<site name="{name}" pos="0 0 {-link}"/>' if name else ""
+        if name == "tip" and payload:
+            marker += f'<geom type="sphere" size="1e-3" pos="0 0 {-link}" mass="{payload}"/>'
         opened += (f'<body pos="0 0 {0.0 if i == 0 else -link}"><joint axis="1 0 0"/><joint axis="0 1 0"/>'
                    f'<geom type="cylinder" size="{radius} {link / 4}" pos="0 0 {-link / 2}" mass="{mass / links}"/>'
                    f"{sites}{marker}")

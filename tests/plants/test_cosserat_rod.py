@@ -65,3 +65,14 @@ def test_signed_forces_mirror_each_other():
 def test_settings_that_make_no_rod_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         CosseratRod(**settings)
+
+
+def test_a_payload_is_carried_by_the_whole_rod():
+    loaded, payload = CosseratRod(payload=0.01), 0.01
+    for _ in range(20):
+        drift = loaded.step(np.zeros(2))
+    np.testing.assert_allclose(drift, 0.0, atol=1e-13)
+    longer = CosseratRod().rest[2] - loaded.rest[2]
+    assert longer == pytest.approx(payload * 9.81 * LENGTH / (YOUNG * AREA), rel=0.02)
+    with pytest.raises(ValueError, match="payload is -1"):
+        CosseratRod(payload=-1)

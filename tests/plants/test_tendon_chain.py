@@ -84,3 +84,15 @@ def test_opposite_tendons_mirror_each_other():
 def test_settings_that_make_no_chain_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         TendonChain(**settings)
+
+
+def test_a_payload_stiffens_the_hanging_chain_as_the_linear_theory_says():
+    chain, pull, payload = TendonChain(payload=0.006), 1e-3, 0.006
+    for _ in range(600):
+        displacement = chain.step(np.array([pull, 0.0, 0.0, 0.0]))
+    link, turned = LENGTH / LINKS, np.tril(np.ones((LINKS, LINKS)))
+    stiffness = linear_theory()[1] + turned.T @ (GRAVITY * payload * link * np.eye(LINKS)) @ turned
+    angles = np.linalg.solve(stiffness, np.full(LINKS, pull * RADIUS))
+    assert displacement[0] == pytest.approx(link * np.cumsum(angles).sum(), rel=2e-3)
+    with pytest.raises(ValueError, match="payload is -1"):
+        TendonChain(payload=-1)
