@@ -103,3 +103,11 @@ def test_missing_samples_and_several_records_are_taken_as_they_come(designed):
     holed[::37] = np.nan
     found = readjustment(designed.controller, [replace(record, measurement=holed), record])
     assert found.accepted and found.actuator.delay == DELAY + 1
+
+
+def test_what_is_expected_is_what_the_design_missed_of_its_own_runs(designed, expected):
+    """So that a robot in which something else has changed is not taken for one with other actuators."""
+    said = designed.controller.facts["operation_error"]
+    assert 0.5 * expected < said < 2.0 * expected
+    _, record = operated(designed, pace=np.array([1.5, 0.7, 1.0]))
+    assert not readjustment(designed.controller, record).accepted

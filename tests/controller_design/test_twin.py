@@ -36,7 +36,7 @@ def test_with_a_perfect_model_and_no_noise_next_to_nothing_is_missed(case, motio
 
 
 def test_with_a_perfect_model_the_rest_of_the_error_is_that_of_the_noise(case, motion):
-    """A filter lets less through than a sample has, √2 σ in two outputs; ten times the noise costs ten times as much."""
+    """A filter passes less than a sample has, √2 σ in two outputs; ten times the noise costs ten times as much."""
     alone, ten = error(case, motion, SILENT), replace(SENSOR, sensor=10 * SENSOR.sensor)
     of_noise, of_more = (np.sqrt(error(case, motion, noises)**2 - alone**2) for noises in (SENSOR, ten))
     assert 0.05 * SENSOR.sensor < of_noise < np.sqrt(2) * SENSOR.sensor
