@@ -93,8 +93,7 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
         if not solution.status.success:
             status = solution.status
             break
-        proposed = solution.x[:inputs.size].reshape(inputs.shape) * problem.input_scale
-        proposed = problem.admissible(proposed, last_input)
+        proposed = _proposed(problem, solution, inputs, last_input)
         slope = _promised(problem, point, inputs, proposed, outputs, ahead, solution.x) if max_iterations > 1 else 0.0
         if max_iterations > 1 and -slope <= tolerance * cost:
             status = Status.SOLVED
@@ -105,13 +104,22 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
             status = Status.NOT_FINITE if max_iterations == 1 else Status.NOT_DESCENDING
             break
         inputs, states, outputs, cost = found
-    if max_iterations == 1 and status is Status.ITERATION_LIMIT:
-        status = Status.SOLVED
     if len(states) <= len(inputs):  # a linear model's condensed problem holds the first state alone
         states, outputs = horizon.rollout(state, inputs)
-    if not kept and solution.status.success:
-        status = Status.SOFTENED
+    status = _as_told(status, max_iterations, solution, kept)
     return _plan(time, states, inputs, outputs, reference, cost, status, solution, iterations, ahead, start)
+
+
+def _proposed(problem: TrackingProblem, solution: QPSolution, inputs: np.ndarray, last_input) -> np.ndarray:
+    """Inputs (N, m) of a program's solution."""
+    return problem.admissible(solution.x[:inputs.size].reshape(inputs.shape) * problem.input_scale, last_input)
+
+
+def _as_told(status: Status, max_iterations: int, solution: QPSolution | None, kept: bool) -> Status:
+    """A real-time iteration is solved by its one program; constraints that were hard and are not kept are softened."""
+    if not kept and solution.status.success:
+        return Status.SOFTENED
+    return Status.SOLVED if max_iterations == 1 and status is Status.ITERATION_LIMIT else status
 
 
 class _Budget:

@@ -22,6 +22,7 @@ GAIN = 0.97          # of the error of commands that act as they are: what an ac
 STEPS = 20           # samples of the predictions that are judged
 MORE_STATES, WINDOW, FUTURE = 6, 4, 10
 ROWS = 5000
+ROUNDS = 10          # at most, in which delay and lag or friction move to a better neighbour
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,7 @@ def identify(recordings: Recordings, *, say: Callable[[str], None] = lambda line
     """Delay and lag on a grid, jointly with friction, as a lag would swallow it; then each setting by itself.
 
     An actuator is believed only where it predicts held-out runs better than commands that act as they are, by more than
-    3 %; so is each of its parts in turn, the simplest first.
+    3 %; so is each of its parts in turn.
     """
     search = _Search(recordings)
     none = Actuator(recordings.timestep, tuple(recordings.input_range.tolist()))
@@ -81,8 +82,11 @@ def identify(recordings: Recordings, *, say: Callable[[str], None] = lambda line
         near = search.least(_near(start))
         if search.error(near) < GAIN * search.error(best):
             best = near
-    for _ in range(0 if best.trivial else 2):
-        best = search.least([best, *_near(best), *_other_frictions(best)])
+    for _ in range(0 if best.trivial else ROUNDS):
+        before, best = best, search.least([best, *_near(best), *_other_frictions(best)])
+        if best == before:
+            break
+    best = _needed(search, best)
     limited = search.least([replace(best, rate=rate) for rate in RATES])
     if search.error(limited) < GAIN * search.error(best):
         best = limited
@@ -90,6 +94,15 @@ def identify(recordings: Recordings, *, say: Callable[[str], None] = lambda line
     say(f"actuator: {in_words(best)}; held-out error {100 * found.error:.3g} % of the reach, "
         f"{100 * found.plain:.3g} % without")
     return found
+
+
+def _needed(search: _Search, best: Actuator) -> Actuator:
+    """Without those parts, one after the other, without which the error is hardly larger."""
+    for name, nothing in (("lag", 0.0), ("friction", 0.0), ("play", 0.0), ("delay", 0)):
+        without = replace(best, **{name: nothing})
+        if GAIN * search.error(without) <= search.error(best):
+            best = without
+    return best
 
 
 def _over_delay_and_lag(actuator: Actuator) -> list[Actuator]:
