@@ -213,7 +213,7 @@ def _record(plant, task, time, observation, measurement, commands, durations, pr
 
 def planned_violations(commands) -> np.ndarray:
     """(T,) m, see `ClosedLoopRecord`."""
-    return np.array([np.nan if command.plan is None else command.plan.violation for command in commands])
+    return np.array([getattr(command.plan, "violation", np.nan) for command in commands])
 
 
 def _status(command) -> str:
