@@ -29,7 +29,17 @@ def tracking_problem(settings: PredictiveControlSettings, reference: TrackedRefe
     return TrackingProblem(reference, planned, weight * tracked, settings.input_weight,
                            settings.terminal_weight * tracked, settings.input_rate, settings.horizon, settings.period,
                            constraints, settings.move_weight, settings.huber, input_range=whole,
-                           input_target=settings.input_target)
+                           input_target=settings.input_target, posture_weight=_posture_weight(settings, tracked))
+
+
+def _posture_weight(settings: PredictiveControlSettings, tracked: np.ndarray) -> np.ndarray | None:
+    """(p,), zero for tracked outputs. Raises ValueError for another number of weights than outputs."""
+    if settings.posture_weight is None:
+        return None
+    weight = np.array(settings.posture_weight, dtype=np.float64)
+    if weight.shape != tracked.shape:
+        raise ValueError(f"posture_weight has {weight.size} entries; expected {len(tracked)}, one for each output")
+    return weight * (tracked == 0)
 
 
 def actuator_of(settings: PredictiveControlSettings, bounds: np.ndarray, timestep: float) -> Actuator:
@@ -46,13 +56,17 @@ def actuator_of(settings: PredictiveControlSettings, bounds: np.ndarray, timeste
 
 
 class TrackedReference:
-    """The task's reference in the columns that it tracks, zero in the others, which weigh nothing.
+    """The task's reference in the columns that it tracks, the posture in the others,
+    where it counts from the estimated `disturbance` (p,), m: it is the model that shall stay where its data are.
 
     approach: s, within which the distance to where the robot was at first goes to zero, twice continuously
     differentiable. Raises ValueError for a task that tracks an output which the model has not.
     """
 
-    def __init__(self, task, output_names, output_dim: int, approach: float):
+    def __init__(self, task, output_names, output_dim: int, approach: float, posture=None):
+        self.posture = np.zeros(output_dim) if posture is None else np.array(posture, dtype=np.float64)
+        if self.posture.shape != (output_dim,):
+            raise ValueError(f"posture has {self.posture.size} entries; expected {output_dim}, one for each output")
         self.task, self.columns = task, list(task.columns(output_names))
         self.output_dim, self.approach = output_dim, approach
         if max(self.columns) >= output_dim:
@@ -61,12 +75,14 @@ class TrackedReference:
 
     def begin_at(self, observation: np.ndarray | None, time: float) -> None:
         """The robot is at observation (p,) m at this time, s; None: not known yet."""
+        self.disturbance = None
         self.begun, self.start, self.distance = observation is not None, time, np.zeros(len(self.columns))
         if self.begun and self.approach:
             self.distance = observation[self.columns] - self.task.reference(np.array([time]))[0]
 
     def __call__(self, time: np.ndarray) -> np.ndarray:
-        reference = np.zeros((len(time), self.output_dim))
+        posture = self.posture if self.disturbance is None else self.posture + self.disturbance
+        reference = np.tile(posture, (len(time), 1))
         reference[:, self.columns] = self.task.reference(time)
         if self.begun and self.approach and time[0] < self.start + self.approach:
             s = np.clip((time - self.start) / self.approach, 0.0, 1.0)[:, None]

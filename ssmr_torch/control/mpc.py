@@ -72,7 +72,8 @@ class ModelPredictiveController(DataSheet):
         self._bounds = np.array(input_bounds, dtype=np.float64)
         self.actuator = ActuatorState(actuator_of(settings, self._bounds, self.timestep))
         self._lead = self.actuator.actuator.delay * self.timestep
-        self._reference = TrackedReference(task, output_names, model.output_dim, settings.approach)
+        self._reference = TrackedReference(task, output_names, model.output_dim, settings.approach,
+                                           settings.posture)
         self.problem = tracking_problem(settings, self._reference, self._bounds, self.actuator.actuator)
         self.horizon = horizon_for(model, self.problem, self.actuator.actuator)
         self.safe_input = self._safe = admissible_input("safe_input", settings.safe_input, self._bounds)
@@ -240,7 +241,7 @@ class ModelPredictiveController(DataSheet):
     def _decide(self, time: float) -> Command:
         time = time + self._lead  # of the first input that can still be chosen, when it acts
         state, self.horizon.input_offset, self.horizon.output_offset = self.estimator.state()
-        plan = None
+        self._reference.disturbance, plan = self.horizon.output_offset, None
         decided, self.horizon.lagged_from = self.actuator.decided()
         if self._age or self._lead:
             state = self._bridged(state, [*list(self._applied)[1:], *decided])

@@ -35,6 +35,7 @@ class TrackingProblem:
     output_weight, terminal_weight: diagonals of Q and Q_f, (p,) or one number, 1/m².
     input_weight, move_weight: diagonals of R and S, (m,) or one number, without unit.   huber: m, or None.
     input_rate: (m,) or one number, input unit per s, or None.   input_range: (m,), by default that of the bounds.
+    posture_weight: (p,), 1/m², added to Q for outputs that are not tracked, from their own reference; None: zero.
     input_target: (m,), range · v̄, which inputs tend to where tracking leaves them free; None: zero.
     constraints: `OutputConstraints` or None.
     Raises ValueError for sizes that disagree, crossed bounds, and weights without a unique minimum.
@@ -56,6 +57,7 @@ class TrackingProblem:
     huber: float | None = None
     input_range: np.ndarray | None = None
     input_target: np.ndarray | None = None
+    posture_weight: np.ndarray | None = None
 
     def __post_init__(self):
         bounds = np.array(self.input_bounds, dtype=np.float64)
@@ -82,6 +84,8 @@ class TrackingProblem:
             if target.shape != (inputs,) or not np.isfinite(target).all():
                 raise ValueError(f"input_target has shape {target.shape}; expected {inputs} finite numbers")
             self._set("input_target", target)
+        if self.posture_weight is not None:
+            self._set("posture_weight", _diagonal("posture_weight", self.posture_weight, outputs))
         if self.huber is not None:
             self._check_huber()
         if not (self.input_weight > 0).all():
@@ -132,6 +136,8 @@ class TrackingProblem:
         """(N, p) weights of y_1 … y_N, the last with the terminal weight added."""
         weight = np.tile(self.output_weight, (self.horizon, 1))
         weight[-1] += self.terminal_weight
+        if self.posture_weight is not None:
+            weight += self.posture_weight
         return weight
 
     @cached_property
@@ -269,12 +275,13 @@ class TrackingProblem:
         """(N, p): `stage_weight` times ρ'(‖e‖²) at the tracked errors e of outputs (N, p), m, with which the gradient
         and the Gauss-Newton matrix are those of Huber's function; cost: times ρ(‖e‖²) / ‖e‖², with which the sum is.
         """
-        tracked = self.stage_weight > 0
+        tracked = np.broadcast_to(self.output_weight > 0, self.stage_weight.shape)
         size = np.sqrt(np.square(np.where(tracked, outputs - reference, 0.0)).sum(1))
         if not (size > self.huber).any():
             return self.stage_weight
         share = self.huber / np.maximum(size, self.huber)
-        return (share * (2.0 - share) if cost else share)[:, None] * self.stage_weight
+        share = (share * (2.0 - share) if cost else share)[:, None]
+        return np.where(tracked, share, 1.0) * self.stage_weight
 
 
 def _diagonal(name: str, value, size: int) -> np.ndarray:

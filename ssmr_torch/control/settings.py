@@ -22,6 +22,8 @@ class PredictiveControlSettings(Settings):
     change from one control step to the next.   input_target: (m,), input that costs nothing, to which inputs tend where
     tracking leaves them free; None: zero.   huber: m, tracking error from which its cost grows linearly, so that what
     is out of reach is not forced; None: never.
+    posture, posture_weight: (p,) m and (p,) 1/m²: to which outputs that are not tracked tend, and how much that weighs
+    where more inputs than tracked outputs leave them free; None: not at all.
     input_rate: input unit per s, one number or (m,); None: no limit.
     actuator: the `Actuator` between commands and robot, or a mapping of its settings; the model is then one of acting
     inputs, and a control step one sample; None: commands act.
@@ -57,6 +59,8 @@ class PredictiveControlSettings(Settings):
     move_weight: float | Sequence[float] = 0.0
     huber: float | None = None
     input_target: Sequence[float] | None = None
+    posture: Sequence[float] | None = None
+    posture_weight: Sequence[float] | None = None
     terminal_weight: float = 0.0
     input_rate: float | Sequence[float] | None = None
     safe_input: Sequence[float] | None = None
@@ -102,7 +106,8 @@ class PredictiveControlSettings(Settings):
         if self.input_weight is None:
             raise ValueError("input_weight is None; expected positive numbers, without them the optimal input is not "
                              "unique")
-        for name in ("safe_input", "input_target", "output_bounds", "margins", "violation_weight"):
+        for name in ("safe_input", "input_target", "posture", "posture_weight", "output_bounds", "margins",
+                     "violation_weight"):
             self._set(name, _numbers(name, getattr(self, name)))
         if self.violation_weight is not None and (len(self.violation_weight) != 2 or min(self.violation_weight) < 0):
             raise ValueError(f"violation_weight is {self.violation_weight}; expected two numbers, 1/m and 1/m², none "

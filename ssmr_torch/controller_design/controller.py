@@ -14,6 +14,9 @@ from ssmr_torch.controller_design.noises import Likelihood, Observer
 from ssmr_torch.controller_design.recordings import Recordings
 
 HUBER = 5e-3         # of the reach: tracking error from which its cost grows linearly
+# Weight of an output that is not tracked, one standard deviation from its mean in the recordings: as much as a tracking
+# error of three tolerances. Without it such outputs drift to where no data are.
+POSTURE = 10.0
 LOST = 0.02          # of the reach: no good prediction misses by more
 LIMIT = 1.5          # of the reach: the largest disturbance of an output that is believed
 APPROACH = 2.0       # s, from where the robot is to the reference
@@ -25,12 +28,13 @@ def settings_of(weights: Weights, observer: Observer, actuator: Actuator, acted:
     n, reach = likelihood.model.state_dim, acted.reach
     gain = likelihood.whole_gain(observer)
     gain[:n] /= reach
-    neutral = acted.neutral
+    neutral, (usual, spread) = acted.neutral, acted.usual_outputs
     watch = partial(DisturbanceObserver, gain=gain, covariance=observer.covariance * reach**2, limit=LIMIT * reach,
                     lost=LOST * reach, watched=tuple(acted.tracked))
     return PredictiveControlSettings(
         horizon=weights.horizon, period=acted.timestep, output_weight=1.0 / (weights.tolerance * reach)**2,
         input_weight=weights.input, input_target=tuple(acted.usual_input.tolist()),
+        posture=tuple(usual.tolist()), posture_weight=tuple((POSTURE / spread**2).tolist()),
         move_weight=weights.move, huber=HUBER * reach, observer=watch,
         actuator=actuator, approach=APPROACH, safe_input=tuple(neutral.tolist()),
         input_rate=None if actuator.rate is None else tuple((actuator.rate * np.array(actuator.input_range)).tolist()),

@@ -66,8 +66,7 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
     3. Noises of inputs, states, disturbance and sensors by the likelihood of held-out runs; the stationary observer.
     4. Observer and weights by margins along the recordings and by loops against a twin, a second model.
 
-    Commands stay within what was recorded and a quarter of that span beyond: further out a model may say anything.
-    Obstacles and output bounds are tightened, at each step of the horizon, by the 95 % quantile of what the controller
+    Outputs that are not tracked, and inputs that tracking leaves free, tend to where the recordings are dense. Obstacles and output bounds are tightened, at each step of the horizon, by the 95 % quantile of what the controller
     misses of the held-out runs.
 
     data: recordings with controlled runs under dither; training and validation runs are used, test runs never.
@@ -97,7 +96,7 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
     # in the order in which an artifact gives arrays back: products of another order are rounded otherwise
     ordered = chosen.model.with_arrays(np.ascontiguousarray)
     facts = report.facts | {"operation_error": operation_error(chosen.model, found.actuator, recordings)}
-    controller = DesignedController(ordered, task, recordings.trusted_bounds, settings, timestep=data.timestep,
+    controller = DesignedController(ordered, task, recordings.bounds, settings, timestep=data.timestep,
                                     output_names=data.output_names, facts=facts, card=_card(data, _name(model)))
     if controller.problem.constraints is not None:
         tightened(controller, held_out(data), MARGIN_QUANTILE)

@@ -14,7 +14,6 @@ from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 HELD_OUT = 4        # every so many-th controlled run is held out where none is marked for validation
 LEAST_HELD = 3.0    # s of controlled runs that must be held out
-BEYOND_RECORDED = 0.25   # of the recorded span of an input: how much further a controller may go
 CONSTANT = 1e-3     # of its range: an input that moves less tells nothing
 
 
@@ -84,14 +83,10 @@ class Recordings:
         return np.concatenate([piece.input for piece in self.controlled]).mean(0)
 
     @cached_property
-    def trusted_bounds(self) -> np.ndarray:
-        """(2, m), of the commands: as far as the recordings go and a quarter of their span beyond, within the bounds,
-        with the neutral input. Further out a polynomial may say anything.
-        """
-        inputs = np.concatenate([piece.input for piece in self.all] + [self.neutral[None]])
-        lowest, highest = inputs.min(0), inputs.max(0)
-        room = BEYOND_RECORDED * (highest - lowest)
-        return np.stack([np.maximum(self.bounds[0], lowest - room), np.minimum(self.bounds[1], highest + room)])
+    def usual_outputs(self) -> tuple[np.ndarray, np.ndarray]:
+        """(p,) mean and (p,) standard deviation of the outputs in the controlled runs, m."""
+        outputs = np.concatenate([piece.observation for piece in self.controlled])
+        return outputs.mean(0), np.maximum(outputs.std(0), 1e-6 * self.reach)
 
     def under(self, actuator: Actuator) -> Recordings:
         """The same with acting inputs in place of commands."""

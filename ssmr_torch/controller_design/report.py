@@ -70,11 +70,6 @@ class DesignReport(DataSheet):
                   f"{search.stable} of {search.count} designs are stable along the recordings, {search.safe} keep all "
                   f"margins: {1e3 * search.extra * self.recordings.timestep:g} ms more delay, half and twice the gain, "
                   f"a sensitivity of {PEAK:g}."]
-        bounds = self.recordings.trusted_bounds
-        if (bounds != self.recordings.bounds).any():
-            lines.append("Commands stay within a quarter beyond what was recorded: "
-                         + ", ".join(f"{name} {low:.4g} … {high:.4g}" for name, low, high in
-                                     zip(self.recordings.input_names, *bounds)) + ". Larger ones need recordings.")
         if not search.safe:
             lines.append("No design keeps all margins; the most robust one was taken. Expect it to be calm, not "
                          "accurate; recordings with more dither may tell more.")

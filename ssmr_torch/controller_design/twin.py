@@ -19,7 +19,6 @@ PATIENCE = 0.3       # s
 BEGIN = 1.0          # s of a loop that do not count
 SECONDS = 4.0        # of a reference
 SMALLER, SLOWER, WIDER = 0.7, 2.0, 2.2   # of a recorded motion: amplitude, speed; and what is out of reach
-SPREAD = 0.4         # of the largest recorded state: its root mean square, about
 SETTLED = 300        # samples in which the twin comes to rest
 
 
@@ -42,16 +41,15 @@ CASES = (Case("as it is"), Case("delay of 20 ms", delay=0.02), Case("delay and l
 
 
 class Twin:
-    """A robot for simulation: `reset` and `step` as of a plant, outputs in m, with the noises of the recordings.
+    """A robot for simulation: `reset` and `step` as of a plant, outputs in m, with the sensors' noise.
 
-    Without that of the inputs and states a loop that answers to every noise would look good.
+    White noise of inputs or states would speak for observers that believe the newest measurement more than the model,
+    and these were lost where the robot was not as recorded.
     """
 
     def __init__(self, model: PolynomialModel, actuator: Actuator, recordings: Recordings, noises: Noises, case: Case):
         self.model, self.case, self.recordings = model, case, recordings
         self._of_sensor = noises.sensor * recordings.reach
-        self._of_inputs = 0.5 * noises.inputs * recordings.input_range
-        self._of_states = noises.states * SPREAD * model.state_scale
         self._step = Stepper(model)
         extra = round(case.delay / actuator.timestep)
         if case.delay:
@@ -83,10 +81,7 @@ class Twin:
         self.state.apply(command)
         self._lagged = self._share * self._lagged + (1.0 - self._share) * self.state.acting
         with np.errstate(over="ignore", invalid="ignore"):
-            draw = self._rng.standard_normal
-            acting = self._acting(self._lagged) + self._of_inputs * draw(self.model.input_dim)
-            self._z, self.output = self._step(self._z, acting)
-            self._z = self._z + self._of_states * draw(len(self._z))
+            self._z, self.output = self._step(self._z, self._acting(self._lagged))
         return self._seen()
 
     def _seen(self) -> np.ndarray:

@@ -173,7 +173,7 @@ class _Trial:
     def error(self, design: Design, path: Task, case: Case, lost: float) -> float:
         acted, actuator = self.acted, self.actuator
         controller = ModelPredictiveController(
-            self.chosen.model, path, acted.trusted_bounds, timestep=acted.timestep, output_names=acted.output_names,
+            self.chosen.model, path, acted.bounds, timestep=acted.timestep, output_names=acted.output_names,
             settings=settings_of(design.weights, design.observer, actuator, acted, self.likelihood))
         twin = Twin(self.chosen.twin, self.actuator, acted, self.noises, case)
         found = tracking_error(twin, controller, path, acted.tracked, lost=lost)

@@ -44,11 +44,3 @@ def test_acting_inputs_are_those_of_the_robots_own_actuators(recorded):
     act = Actuators(recorded.bounds, commands[0], DELAY, LAG)
     np.testing.assert_allclose(acted.held[0].input, [act(command) for command in commands], rtol=0, atol=1e-12)
     np.testing.assert_array_equal(acted.held[0].observation, recorded.held[0].observation)
-
-
-def test_commands_are_trusted_a_quarter_beyond_what_was_recorded_and_never_beyond_the_bounds(robot, data):
-    wide = recordings_of(data, (0, 1), 3.0 * robot.input_bounds)
-    inputs = np.concatenate([piece.input for piece in wide.all])
-    room = 0.25 * np.ptp(inputs, axis=0)
-    np.testing.assert_allclose(wide.trusted_bounds, [inputs.min(0) - room, inputs.max(0) + room])
-    np.testing.assert_array_equal(recordings_of(data, (0, 1), robot.input_bounds).trusted_bounds, robot.input_bounds)
