@@ -279,7 +279,9 @@ class ModelPredictiveController(DataSheet):
             guess = self._plan.shifted(steps)
         reference = self.problem.reference_ahead(time)
         in_time = steps == 1 and abs(time - self._plan.time - self.period) < 0.1 * self.period
-        continued = self._planned_now and in_time and continues(reference, self._plan.reference, REFERENCE_CHANGE)
+        tracked = self._reference.columns  # a posture moves with the disturbance, and is no new reference
+        continued = self._planned_now and in_time and continues(reference[:, tracked], self._plan.reference[:, tracked],
+                                                                REFERENCE_CHANGE)
         iterations = self.settings.iterations
         if not continued:
             iterations = max(iterations, self.settings.first_iterations)

@@ -22,8 +22,8 @@ class PredictiveControlSettings(Settings):
     change from one control step to the next.   input_target: (m,), input that costs nothing, to which inputs tend where
     tracking leaves them free; None: zero.   huber: m, tracking error from which its cost grows linearly, so that what
     is out of reach is not forced; None: never.
-    posture, posture_weight: (p,) m and (p,) 1/m²: to which outputs that are not tracked tend, and how much that weighs
-    where more inputs than tracked outputs leave them free; None: not at all.
+    posture: (p,) m, to which outputs that are not tracked tend where more inputs than tracked outputs leave them free.
+    posture_weight: (p,) 1/m², how much that weighs; None: nothing.
     input_rate: input unit per s, one number or (m,); None: no limit.
     actuator: the `Actuator` between commands and robot, or a mapping of its settings; the model is then one of acting
     inputs, and a control step one sample; None: commands act.

@@ -66,7 +66,8 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
     3. Noises of inputs, states, disturbance and sensors by the likelihood of held-out runs; the stationary observer.
     4. Observer and weights by margins along the recordings and by loops against a twin, a second model.
 
-    Outputs that are not tracked, and inputs that tracking leaves free, tend to where the recordings are dense. Obstacles and output bounds are tightened, at each step of the horizon, by the 95 % quantile of what the controller
+    Outputs that are not tracked, and inputs that tracking leaves free, tend to where the recordings are dense.
+    Obstacles and output bounds are tightened, at each step of the horizon, by the 95 % quantile of what the controller
     misses of the held-out runs.
 
     data: recordings with controlled runs under dither; training and validation runs are used, test runs never.

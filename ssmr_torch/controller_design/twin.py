@@ -43,7 +43,7 @@ CASES = (Case("as it is"), Case("delay of 20 ms", delay=0.02), Case("delay and l
 class Twin:
     """A robot for simulation: `reset` and `step` as of a plant, outputs in m, with the sensors' noise.
 
-    White noise of inputs or states would speak for observers that believe the newest measurement more than the model,
+    White noise of states or inputs would speak for observers that believe the newest measurement more than the model,
     and these were lost where the robot was not as recorded.
     """
 

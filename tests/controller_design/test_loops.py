@@ -14,7 +14,7 @@ from ssmr_torch.controller_design.noises import Noises
 
 DELAY, LAG = 2, 0.04
 STILL = ssmr.tasks.path([0.0, 100.0], [[0.0, 0.0], [0.0, 0.0]], ["x", "y"])
-PLAIN = {"huber": None, "approach": 0.0, "input_target": (0.0, 0.0), "frozen_after": 0}
+PLAIN = {"huber": None, "approach": 0.0, "input_target": (0.0, 0.0), "posture_weight": None, "frozen_after": 0}
 
 
 @pytest.fixture(scope="module")

@@ -43,10 +43,8 @@ def test_with_a_perfect_model_the_rest_of_the_error_is_that_of_the_noise(case, m
     assert of_more == pytest.approx(10 * of_noise, rel=0.35)
 
 
-def test_noise_of_inputs_and_states_shows_in_the_error(case, motion):
-    quiet = error(case, motion, SILENT)
-    assert error(case, motion, replace(SILENT, inputs=0.05)) > 2 * quiet
-    assert error(case, motion, replace(SILENT, states=0.01)) > 2 * quiet
+def test_noise_of_the_sensors_shows_in_the_error(case, motion):
+    assert error(case, motion, replace(SILENT, sensor=0.02)) > 2 * error(case, motion, SILENT)
 
 
 @pytest.mark.parametrize("how", CASES[1:], ids=lambda how: how.name)
