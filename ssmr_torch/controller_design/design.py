@@ -37,7 +37,7 @@ from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 
 MARGIN_QUANTILE = 0.95   # of the held-out errors, by which constraints are tightened
 DISBELIEF = 1.2      # times the error without an actuator: one with which the best model misses by more is not believed
-LOOPS = 340          # steps of the bar: designs whose margins are looked at, and loops against the twin
+LOOPS = 300          # steps of the bar: designs whose margins are looked at, and loops against the twin
 
 
 @dataclass(frozen=True, eq=False)
