@@ -22,7 +22,7 @@ OF_STATES, OF_SENSOR = (1.0, 0.1, 0.01), (1.0, 4.0)
 # What a disturbance may change by in a sample, of the sensors' noise. The recordings tell nothing of it: they hold no
 # payload. One over it is about the samples that the observer takes to find one.
 OF_DISTURBANCE = (0.003, 0.01, 0.03, 0.1, 0.3)
-# At the least a change of 1.6 % of an input's range in a sample costs as much as a tracking error of the tolerance: with
+# At least: a change of 1.6 % of an input's range in a sample costs as much as a tracking error of the tolerance. With
 # less, loops that look better against a twin were lost where the robot was not as recorded.
 MOVES = (4e3, 1.3e4, 4e4, 1.3e5, 4e5)
 TOLERANCE, HORIZON = 1e-3, 10
