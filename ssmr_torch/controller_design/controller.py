@@ -17,6 +17,9 @@ HUBER = 5e-3         # of the reach: tracking error from which its cost grows li
 # Weight of an output that is not tracked, one standard deviation from its mean in the recordings: as much as a tracking
 # error of three tolerances. Without it such outputs drift to where no data are.
 POSTURE = 10.0
+# One program a step is enough while all is as recorded; where inputs saturate on a robot that is not, a search along the
+# step kept loops that a full step lost.
+ITERATIONS, CONVERGED = 4, 1e-4
 LOST = 0.02          # of the reach: no good prediction misses by more
 LIMIT = 1.5          # of the reach: the largest disturbance of an output that is believed
 APPROACH = 2.0       # s, from where the robot is to the reference
@@ -36,6 +39,6 @@ def settings_of(weights: Weights, observer: Observer, actuator: Actuator, acted:
         input_weight=weights.input, input_target=tuple(acted.usual_input.tolist()),
         posture=tuple(usual.tolist()), posture_weight=tuple((POSTURE / spread**2).tolist()),
         move_weight=weights.move, huber=HUBER * reach, observer=watch,
-        actuator=actuator, approach=APPROACH, safe_input=tuple(neutral.tolist()),
+        actuator=actuator, approach=APPROACH, iterations=ITERATIONS, tolerance=CONVERGED, safe_input=tuple(neutral.tolist()),
         input_rate=None if actuator.rate is None else tuple((actuator.rate * np.array(actuator.input_range)).tolist()),
         frozen_after=0 if actuator.rubs else 5)
