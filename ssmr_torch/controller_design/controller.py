@@ -14,11 +14,11 @@ from ssmr_torch.controller_design.noises import Likelihood, Observer
 from ssmr_torch.controller_design.recordings import Recordings
 
 HUBER = 5e-3         # of the reach: tracking error from which its cost grows linearly
-# Weight of an output that is not tracked, one standard deviation from its mean in the recordings: as much as a tracking
-# error of three tolerances. Without it such outputs drift to where no data are.
+# Weight of all outputs that are not tracked, one standard deviation from their mean in the recordings: as much as a
+# tracking error of three tolerances. Without it such outputs drift to where no data are.
 POSTURE = 10.0
-# One program a step is enough while all is as recorded; where inputs saturate on a robot that is not, a search along the
-# step kept loops that a full step lost.
+# One program a step is enough while all is as recorded. Where inputs saturate on a robot that is not, a search along
+# the step kept loops that a full step lost.
 ITERATIONS, CONVERGED = 4, 1e-4
 LOST = 0.02          # of the reach: no good prediction misses by more
 LIMIT = 1.5          # of the reach: the largest disturbance of an output that is believed
@@ -32,13 +32,15 @@ def settings_of(weights: Weights, observer: Observer, actuator: Actuator, acted:
     gain = likelihood.whole_gain(observer)
     gain[:n] /= reach
     neutral, (usual, spread) = acted.neutral, acted.usual_outputs
+    free = max(acted.output_dim - len(acted.tracked), 1)
     watch = partial(DisturbanceObserver, gain=gain, covariance=observer.covariance * reach**2, limit=LIMIT * reach,
                     lost=LOST * reach, watched=tuple(acted.tracked))
     return PredictiveControlSettings(
         horizon=weights.horizon, period=acted.timestep, output_weight=1.0 / (weights.tolerance * reach)**2,
         input_weight=weights.input, input_target=tuple(acted.usual_input.tolist()),
-        posture=tuple(usual.tolist()), posture_weight=tuple((POSTURE / spread**2).tolist()),
+        posture=tuple(usual.tolist()), posture_weight=tuple((POSTURE / free / spread**2).tolist()),
         move_weight=weights.move, huber=HUBER * reach, observer=watch,
-        actuator=actuator, approach=APPROACH, iterations=ITERATIONS, tolerance=CONVERGED, safe_input=tuple(neutral.tolist()),
+        actuator=actuator, approach=APPROACH,
+        iterations=ITERATIONS, tolerance=CONVERGED, safe_input=tuple(neutral.tolist()),
         input_rate=None if actuator.rate is None else tuple((actuator.rate * np.array(actuator.input_range)).tolist()),
         frozen_after=0 if actuator.rubs else 5)
