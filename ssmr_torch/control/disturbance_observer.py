@@ -12,9 +12,9 @@ from ssmr_torch.control.gate import InnovationGate
 from ssmr_torch.control.stepping import Stepper
 
 BEYOND = 1.2      # times the recorded range: a state there which mispredicts as well is lost
-PATIENCE = 50     # samples after a start anew before the next: else a robot that is beyond the range is never followed
+STRANGE = 10      # samples in a row that it must do so
+PATIENCE = 50     # more samples in a row, if it never came back after a start anew
 FAR = 3.0         # times the recorded range: no state is there, whatever is measured
-STRANGE = 10      # samples that it must do so
 SETTLING = 10.0   # s that the model is given to come to rest
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ssmr_torch.control.actuator import Actuator
-from ssmr_torch.control.disturbance_observer import BEYOND, FAR, SETTLING, STRANGE, DisturbanceObserver
+from ssmr_torch.control.disturbance_observer import BEYOND, FAR, PATIENCE, SETTLING, STRANGE, DisturbanceObserver
 from ssmr_torch.control.gate import AT_FIRST, MEMORY, MOST_IN_A_ROW, SIGMAS
 from ssmr_torch.deployment.c_controller_text import ACTUATORS, HEADER, OBSERVER
 from ssmr_torch.deployment.c_text import comment, identifier, table
@@ -62,8 +62,8 @@ def _named(text: str, name: str) -> str:
 
 def _constants(model: Model, observer: DisturbanceObserver, actuator: Actuator) -> str:
     sizes = {"N": model.state_dim, "M": model.input_dim, "P": model.output_dim, "D": model.delays,
-             "SETTLING": round(SETTLING / model.timestep), "STRANGE": STRANGE, "MOST_IN_A_ROW": MOST_IN_A_ROW,
-             "WATCHED": len(observer._watched), "DELAY": actuator.delay, "ROOM": max(actuator.delay, 1),
+             "SETTLING": round(SETTLING / model.timestep), "STRANGE": STRANGE, "PATIENCE": PATIENCE,
+             "MOST_IN_A_ROW": MOST_IN_A_ROW, "WATCHED": len(observer._watched), "DELAY": actuator.delay, "ROOM": max(actuator.delay, 1),
              "RUBS": int(actuator.rubs), "LIMITED": int(actuator.rate is not None)}
     numbers = {"SIGMAS_SQUARED": SIGMAS**2, "MEMORY": MEMORY, "AT_FIRST": AT_FIRST, "LOST": observer._lost,
                "LESS": float(np.exp(-actuator.friction)), "MORE": float(np.exp(actuator.friction)),

@@ -125,7 +125,8 @@ void NAME_observe_restart(NAME_observer *observer, const double *z)
     for (i = 0; i < N; i++)
         observer->z[i] = within(z[i], range[i]);
     observer->scale = AT_FIRST;
-    observer->shut = observer->strange = 0;
+    observer->shut = 0;
+    observer->strange = -PATIENCE;
 }
 
 /* Where the model comes to rest under what acts. */

@@ -59,6 +59,7 @@ def test_it_follows_the_gate_missing_samples_a_gap_in_time_and_restarts(built):
         if said == 3:
             compiled.restart(observer._chart.state()[0])
             z = np.array(compiled.observer.z)
+        assert compiled.observer.strange == observer._strange
         statuses.append(said)
         theirs, _, disturbance = observer.state()
         np.testing.assert_allclose(z, theirs, rtol=0, atol=1e-12 * max(1.0, np.abs(theirs).max()))
