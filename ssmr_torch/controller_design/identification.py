@@ -44,7 +44,7 @@ class _Search:
     """Errors of a linear or bilinear model of few coordinates, whose chart sees no past inputs: these hide a lag."""
 
     def __init__(self, recordings: Recordings):
-        self.scaled = Scaled(recordings, FUTURE, ROWS)
+        self.recordings = recordings
         keep = tuple(recordings.tracked)
         most = WINDOW * recordings.output_dim
         self.form = Form(keep, WINDOW, min(len(keep) + MORE_STATES, most), 2, 0, 1e-6, past_inputs=False)
@@ -53,7 +53,7 @@ class _Search:
 
     def error(self, actuator: Actuator) -> float:
         if actuator not in self.errors:
-            acted = self.scaled.under(actuator)
+            acted = Scaled(self.recordings.under(actuator), FUTURE, ROWS)
             form = self.form
             regression = Regression(acted, chart(acted, form.keep, form.window, False), form)
             # a bilinear model may explode where a linear one does not: then that one judges

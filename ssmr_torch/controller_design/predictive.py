@@ -1,6 +1,6 @@
 """Predictive charts: the tracked outputs, and the directions of the past that best predict the future.
 
-All arrays here are scaled: outputs by the reach, inputs to −1 … 1 over their bounds. `assembled` gives the model in SI.
+All arrays here are scaled: outputs by the reach, inputs to −1 … 1 over their bounds. `Regression.model` gives the model in SI.
 """
 
 from __future__ import annotations
@@ -69,17 +69,6 @@ class Scaled:
     def _scaled(self, piece: Piece) -> Piece:
         return piece._replace(observation=piece.observation / self.recordings.reach,
                               input=(piece.input - self.middle) / self.half)
-
-    def under(self, actuator) -> Scaled:
-        """The same with acting inputs."""
-        found = object.__new__(Scaled)
-        found.__dict__ = self.__dict__ | {
-            "train": [piece._replace(input=self._acting(actuator, piece.input)) for piece in self.train],
-            "held": [piece._replace(input=self._acting(actuator, piece.input)) for piece in self.held]}
-        return found
-
-    def _acting(self, actuator, inputs: np.ndarray) -> np.ndarray:
-        return (actuator.acting(self.middle + self.half * inputs) - self.middle) / self.half
 
 
 def windows(piece: Piece, length: int, past_inputs: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -34,7 +34,7 @@ EXTRA_DELAY = 0.06   # s, that a loop must stand, but no more than `SHARE_OF_LOO
 SHARE_OF_LOOP = 3.0  # samples beyond the actuator's own delay and lag
 PEAK = 2.0           # of the sensitivity
 SCREENED_BY = (2, 3)  # cases of the twin that the best design of every pace and move weight is tried in first
-SMALLER = (0.5, 0.25) # of the recorded motion, where the loop is lost along it without any disturbance
+LESS_FAR = (0.5, 0.25)  # of the recorded motion, where the loop is lost along it without any disturbance
 TRIES = 8            # designs that are tried in all cases
 FAR = 1.25           # times the least error out of reach, that a design may make there
 DRIFT = 0.01         # of the sensors' noise: what a disturbance changes by in a sample at least, in the predicted error
@@ -172,25 +172,29 @@ class _Trial:
         self.names = task.tracked
         self.far = recorded_motion(acted, task.tracked, scale=WIDER)
 
-    def error(self, design: Design, path: Task, case: Case, lost: float) -> float:
-        acted, actuator = self.acted, self.actuator
+    def errors(self, design: Design, path: Task, cases: Sequence[Case], lost: float = LOST) -> list[float]:
+        """Of one controller along a path, in each of these cases."""
+        acted, found = self.acted, []
         controller = ModelPredictiveController(
             self.chosen.model, path, acted.bounds, timestep=acted.timestep, output_names=acted.output_names,
-            settings=settings_of(design.weights, design.observer, actuator, acted, self.likelihood))
-        twin = Twin(self.chosen.twin, self.actuator, acted, self.noises, case)
-        found = tracking_error(twin, controller, path, acted.tracked, lost=lost)
-        self.tell(1)
+            settings=settings_of(design.weights, design.observer, self.actuator, acted, self.likelihood))
+        for case in cases:
+            twin = Twin(self.chosen.twin, self.actuator, acted, self.noises, case)
+            found.append(tracking_error(twin, controller, path, acted.tracked, lost=lost))
+            self.tell(1)
         return found
 
     def disturbed(self, design: Design, cases: Sequence[Case] = CASES) -> Design:
-        """The design with its errors against the twin, disturbed in these ways."""
-        return replace(design, against_twin={case.name: self.error(design, self.motion, case, LOST)
-                                             for case in cases})
+        """The design with its errors against the twin, disturbed in these ways; what is known is not run again."""
+        known = design.against_twin
+        new = [case for case in cases if case.name not in known]
+        known = known | dict(zip((case.name for case in new), self.errors(design, self.motion, new)))
+        return replace(design, against_twin={case.name: known[case.name] for case in cases})
 
     def _within_reach(self, design: Design) -> None:
         """A smaller motion where the recorded one, which swings further than the robot stays, is lost as it is."""
-        for scale in SMALLER:
-            if np.isfinite(self.error(design, self.motion, CASES[0], LOST)):
+        for scale in LESS_FAR:
+            if np.isfinite(self.errors(design, self.motion, CASES[:1])[0]):
                 return
             self.motion = recorded_motion(self.acted, self.names, scale=scale)
 
@@ -199,7 +203,7 @@ class _Trial:
         self._within_reach(designs[0])
         screened = [self.disturbed(each, [CASES[k] for k in SCREENED_BY]) for each in designs]
         designs = sorted(screened, key=_score)[:TRIES]
-        far = [self.error(each, self.far, CASES[0], np.inf) for each in designs]
+        far = [self.errors(each, self.far, CASES[:1], np.inf)[0] for each in designs]
         # a twin that itself explodes out of reach is no judge there
         allowed = FAR * min(far) if min(far) < 1.0 else np.inf
         return [self.disturbed(each) for each, error in zip(designs, far) if not error > allowed]

@@ -63,7 +63,8 @@ def _named(text: str, name: str) -> str:
 def _constants(model: Model, observer: DisturbanceObserver, actuator: Actuator) -> str:
     sizes = {"N": model.state_dim, "M": model.input_dim, "P": model.output_dim, "D": model.delays,
              "SETTLING": round(SETTLING / model.timestep), "STRANGE": STRANGE, "PATIENCE": PATIENCE,
-             "MOST_IN_A_ROW": MOST_IN_A_ROW, "WATCHED": len(observer._watched), "DELAY": actuator.delay, "ROOM": max(actuator.delay, 1),
+             "MOST_IN_A_ROW": MOST_IN_A_ROW, "WATCHED": len(observer._watched), "DELAY": actuator.delay,
+             "ROOM": max(actuator.delay, 1),
              "RUBS": int(actuator.rubs), "LIMITED": int(actuator.rate is not None)}
     numbers = {"SIGMAS_SQUARED": SIGMAS**2, "MEMORY": MEMORY, "AT_FIRST": AT_FIRST, "LOST": observer._lost,
                "LESS": float(np.exp(-actuator.friction)), "MORE": float(np.exp(actuator.friction)),
