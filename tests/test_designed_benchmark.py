@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ssmr_torch import configuration
-from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.control.designed import DesignedController
 from ssmr_torch.data.arrays import trajectories
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.plants.rig import Rig
@@ -190,8 +190,8 @@ def miniature(benchmark, bench, monkeypatch):
         facts = {"seconds": 1.0, "model": "the robot's own", "actuator": {}, "model_error": 0.0, "reach": 1.0,
                  "against_twin": {"as it is": None}, "designs": {"safe": 1, "count": 1, "judged_by": "margins"},
                  "weights": {"move": 1.0, "observer": [1.0]}}
-        return (ModelPredictiveController(model, task, bounds, period=0.01, horizon=10, input_weight=0.01,
-                                          output_names=data.output_names),
+        return (DesignedController(model, task, bounds, period=0.01, horizon=10, input_weight=0.01,
+                                   output_names=data.output_names),
                 SimpleNamespace(facts=facts, sentences=["Nothing was sought."]))
 
     monkeypatch.setattr(designed.ssmr, "design", design)

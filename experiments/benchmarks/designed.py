@@ -39,8 +39,7 @@ from robots_under_test import NOMINAL, NOT_TOLD, ROBOTS, Condition, Robot, robot
 
 import ssmr_torch as ssmr
 from ssmr_torch.closed_loop import simulate
-from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.controller_design.readjustment import readjusted, readjustment
+from ssmr_torch.control.designed import DesignedController
 from ssmr_torch.trajectory import TrajectoryDataset
 
 PARTS = ("nominal", "far", "disturbed", "models")
@@ -123,7 +122,7 @@ class Trial:
 
     def __init__(self, robot: Robot, chosen: Choice, results: Results):
         self.robot, self.chosen, self.results = robot, chosen, results
-        self._controllers: dict[tuple, tuple | Exception] = {}
+        self._controllers: dict[tuple, DesignedController | Exception] = {}
         plant = robot.plant(NOMINAL)
         self.bounds, self._rest = plant.input_bounds, np.asarray(plant.rest)
         self.nominal = self.recorded(NOMINAL)
@@ -144,22 +143,22 @@ class Trial:
             print(f"{name}: recorded in {perf_counter() - began:.0f} s", flush=True)
         return self.robot.observed(TrajectoryDataset.load(path))
 
-    def designed(self, kind: str, condition: Condition, task) -> tuple:
-        """Model and settings for the task's outputs, designed from recordings under this condition; kept."""
+    def designed(self, kind: str, condition: Condition, task) -> DesignedController:
+        """For the task's outputs, designed from recordings under this condition; kept."""
         key = f"{self.robot.name}/design/{kind}/{condition.name}/{'-'.join(map(str, task.tracked))}"
 
-        def make() -> tuple[dict, tuple]:
+        def make() -> tuple[dict, DesignedController]:
             data = self.recorded(condition)
             model = ssmr.fit(data, purpose="control", progress=False) if kind == "slow_fast" else kind
             controller, report = ssmr.design(model, data, task, self.bounds, progress=False)
             page = self.chosen.folder / "designs" / f"{key.replace('/', ' ')}.txt"
             page.parent.mkdir(parents=True, exist_ok=True)
             page.write_text("\n".join([repr(report), "", *report.sentences]) + "\n")
-            return {"design": report.facts}, (controller.model, controller.settings)
+            return {"design": report.facts}, controller
 
         return self._kept(key, make)
 
-    def controller(self, kind: str, condition: Condition, told: str, task) -> ModelPredictiveController:
+    def controller(self, kind: str, condition: Condition, told: str, task) -> DesignedController:
         """For this task, and for the robot under the condition as far as the controller is told of it."""
         known = (kind, condition.name, told, task.tracked)
         if known not in self._controllers:
@@ -172,26 +171,21 @@ class Trial:
             self._controllers[known] = found
         if isinstance(self._controllers[known], Exception):
             raise self._controllers[known]
-        return self._built(*self._controllers[known], task)
+        return self._controllers[known].changed(task)
 
-    def _built(self, model, settings, task) -> ModelPredictiveController:
-        return ModelPredictiveController(model, task, self.bounds, settings, timestep=self.nominal.timestep,
-                                         output_names=self.nominal.output_names)
-
-    def _readjusted(self, kind: str, condition: Condition, found: tuple, task) -> tuple:
-        """Model and settings after one run of operation on the changed robot; kept."""
+    def _readjusted(self, kind: str, condition: Condition, found: DesignedController, task) -> DesignedController:
+        """That after one run of operation on the changed robot; kept."""
         key = f"{self.robot.name}/readjustment/{kind}/{condition.name}/{'-'.join(map(str, task.tracked))}"
 
-        def make() -> tuple[dict, tuple]:
-            working = self._built(*found, self.robot.operation(self.plane))
+        def make() -> tuple[dict, DesignedController]:
+            working = found.changed(self.robot.operation(self.plane))
             record = simulate(self.plant(condition), working, working.task, seed=SEED_OF_OPERATION)
-            answer = readjustment(working, record)
-            changed = readjusted(working, answer)
-            return {"accepted": bool(answer.accepted), "words": answer.words}, (changed.model, changed.settings)
+            changed, answer = working.readjust(record)
+            return {"accepted": bool(answer.accepted), "words": answer.words}, changed
 
         return self._kept(key, make)
 
-    def _kept(self, key: str, make) -> tuple:
+    def _kept(self, key: str, make) -> DesignedController:
         """What `make` gives beside a row, in a file; both are made once. Raises NoDesign where that fails."""
         file = self.chosen.folder / "designs" / f"{key.replace('/', ' ')}.pkl"
 

@@ -67,8 +67,8 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
     4. Observer and weights by margins along the recordings and by loops against a twin, a second model.
 
     Outputs that are not tracked, and inputs that tracking leaves free, tend to where the recordings are dense.
-    Obstacles and output bounds are tightened, at each step of the horizon, by the 95 % quantile of what the controller
-    misses of the held-out runs.
+    Obstacles and output bounds, of this task and of those that the controller is given later, are tightened at each
+    step of the horizon by the 95 % quantile of what it misses of the held-out runs.
 
     data: recordings with controlled runs under dither; training and validation runs are used, test runs never.
     task: of `ssmr_torch.tasks`; its outputs are tracked.   bounds: (2, m), lowest and highest command.
@@ -99,16 +99,32 @@ def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator
     facts = report.facts | {"operation_error": operation_error(chosen.model, found.actuator, recordings)}
     controller = DesignedController(ordered, task, recordings.bounds, settings, timestep=data.timestep,
                                     output_names=data.output_names, facts=facts, card=_card(data, _name(model)))
-    if controller.problem.constraints is not None:
-        tightened(controller, held_out(data), MARGIN_QUANTILE)
+    _tighten(controller, held_out(data), say)
     return Designed(controller, report)
+
+
+def _tighten(controller: DesignedController, held: list, say: Callable[[str], None]) -> None:
+    """Give the controller margins, also for obstacles of tasks to come. Raises ValueError where its own task has
+    constraints, and what it misses of the held-out runs is too large for any.
+    """
+    try:
+        tightened(controller, held, MARGIN_QUANTILE)
+    except ValueError as error:
+        if controller.problem.constraints is not None:
+            raise
+        say(f"no margins for obstacles: {error}")
 
 
 def _name(model) -> str:
     """Under which the artifact's model is known."""
-    if model in SEARCHED if isinstance(model, str | None) else False:
+    if _is_searched(model):
         return "predictive"
     return model.upper() if isinstance(model, str) else model.name
+
+
+def _is_searched(model) -> bool:
+    """Whether a predictive model is asked for."""
+    return isinstance(model, str | None) and model in SEARCHED
 
 
 def _card(data: TrajectoryDataset, name: str) -> dict:
@@ -147,15 +163,14 @@ def _believed(found: Identification, recordings: Recordings, say) -> tuple[Ident
 def _chosen(model, data: TrajectoryDataset, acted: Recordings, tried: list, actuator: Actuator,
             say: Callable[[str], None]) -> ChosenModel:
     """The model that was asked for, and a predictive one as its twin."""
-    if model in SEARCHED if isinstance(model, str | None) else False:
+    if _is_searched(model):
         return choose_predictive(acted, tried, say=say)
     from ssmr_torch.fitting.by_kind import fit  # Torch and Lightning, which a predictive model does not need
 
     if isinstance(model, str):
         trained = fit(acting_dataset(data, actuator), model, progress=False)
     elif not actuator.trivial and isinstance(model, TrainedModel):
-        kind, options = _as_fitted(model)
-        trained = fit(acting_dataset(data, actuator), kind, progress=False, **options)
+        trained = fit(acting_dataset(data, actuator), _kind_of(model), progress=False)
     else:
         trained = model
     reduced = trained.reduced.numpy().at_timestep(data.timestep)
@@ -172,11 +187,14 @@ def _chosen(model, data: TrajectoryDataset, acted: Recordings, tried: list, actu
                        predictive.words, predictive.tried)
 
 
-def _as_fitted(model: TrainedModel) -> tuple[str, dict]:
-    """Kind and name with which a model was fitted. Raises ValueError for one that does not tell."""
-    made = (model.card.get("provenance") or {}).get("training") or {}
-    kind = ((made.get("config") or {}).get("hydra_choices") or {}).get("model") or model.name.lower()
-    return kind, {}
+def _kind_of(model: TrainedModel) -> str:
+    """With which `fit` made a model. Raises ValueError for one that does not tell."""
+    kind = ((model.card.get("provenance") or {}).get("training") or {}).get("kind")
+    if kind is None:
+        raise ValueError(f"the inputs that act are not the commands, so that {model.name} must be fitted again; its "
+                         "card does not tell its kind: give a kind by name, such as 'ssmr', or a model that this "
+                         "version's fit made")
+    return kind
 
 
 def _bar(shown: bool):

@@ -1,6 +1,6 @@
 """Predictive charts: the tracked outputs, and the directions of the past that best predict the future.
 
-All arrays here are scaled: outputs by the reach, inputs to −1 … 1 over their bounds. `Regression.model` gives the model in SI.
+All arrays here are scaled: outputs by the reach, inputs to −1 … 1 over their bounds. `Regression.model` is in SI.
 """
 
 from __future__ import annotations

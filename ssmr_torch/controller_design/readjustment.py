@@ -171,12 +171,3 @@ def _check(pieces: Sequence[Piece], controller) -> None:
     if span.max() < MOVED:
         raise ValueError(f"the inputs of the records move by {100 * span.max():.3g} % of their range at most; expected "
                          f"{100 * MOVED:g} % or more: record a task that moves the robot")
-
-
-def readjusted(controller, found: Readjustment):
-    """A controller with the actuator of a readjustment that was accepted; the same one where it was not."""
-    if not found.accepted:
-        return controller
-    return type(controller)(controller.model, controller.task, controller.input_bounds,
-                            controller.settings.changed(actuator=found.actuator), timestep=controller.timestep,
-                            output_names=controller.output_names)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -37,8 +37,6 @@ class Rehearsal(DataSheet):
     held: dict[str, float]
     rmse: float
     fastest: float | None
-    distance: float = 0.0
-    facts: dict = field(default_factory=dict)
 
     def data_sheet(self) -> tuple[str, dict]:
         reach = "all within reach" if not self.out_of_reach else f"{100 * self.out_of_reach:.3g} % of the path"
@@ -61,7 +59,7 @@ def rehearse(controller, task: Task | None = None) -> Rehearsal:
     """
     task = controller.task if task is None else task
     columns = task.columns(controller.output_names)
-    floor, held_static = _static(controller, task, columns)
+    floor = _static(controller, task, columns)
     record, errors = _loop(controller, task, columns, 1.0)
     lower, upper = controller.input_bounds
     span = upper - lower
@@ -75,7 +73,7 @@ def rehearse(controller, task: Task | None = None) -> Rehearsal:
     samples = task.duration / controller.timestep
     return Rehearsal(task.name, floor, float((floor > OUT_OF_REACH * extent).mean()),
                      float(np.square(floor).mean() * samples), held, _rms(errors),
-                     _fastest(controller, task, columns, extent), facts={"static bounds": held_static})
+                     _fastest(controller, task, columns, extent, _rms(errors)))
 
 
 def _rms(errors: np.ndarray) -> float:
@@ -113,29 +111,32 @@ class _Faster:
         return self.task.reference(self.speed * np.asarray(time))
 
 
-def _fastest(controller, task: Task, columns, extent: float) -> float | None:
-    """Largest factor of the speed at which the error stays within `FEASIBLE`; None where half of it is too fast."""
+def _fastest(controller, task: Task, columns, extent: float, as_it_is: float) -> float | None:
+    """Largest factor of the speed at which the error stays within `FEASIBLE`; None where half of it is too fast.
+
+    extent: m, of the path.   as_it_is: m, the error at the task's own speed.
+    """
     least, fastest = None, None
     for speed in SPEEDS:
         if task.duration / speed < 20 * controller.timestep:
             break
-        error = _rms(_loop(controller, task, columns, speed)[1])
+        error = as_it_is if speed == 1.0 else _rms(_loop(controller, task, columns, speed)[1])
         least = error if least is None else least
-        if not error <= max(FEASIBLE * least, OUT_OF_REACH * extent) or not np.isfinite(error):
+        if not (np.isfinite(error) and error <= max(FEASIBLE * least, OUT_OF_REACH * extent)):
             break
         fastest = speed
     return fastest
 
 
-def _static(controller, task: Task, columns) -> tuple[np.ndarray, dict]:
-    """Least static error (K,), m, at points along the path, and how many inputs hold it at a bound."""
+def _static(controller, task: Task, columns) -> np.ndarray:
+    """Least static error (K,), m, at points along the path."""
     fine = controller.model.at_timestep(controller.timestep)
     step, actuator = Stepper(fine), controller.actuator.actuator
     lower, upper = (actuator.factor * bound + actuator.shift for bound in controller.input_bounds)
-    columns, middle = list(columns), 0.5 * (lower + upper)
+    columns = list(columns)
     z, _ = controller.estimator.rest(actuator.factor * controller.safe_input + actuator.shift)
     u = actuator.factor * np.clip(controller.safe_input, *controller.input_bounds) + actuator.shift
-    floor, at_bound, start = [], 0, (z, u)
+    floor, start = [], (z, u)
     for point in task.reference(np.linspace(0.0, task.duration, POINTS)):
         best = np.inf
         for _ in range(ITERATIONS):
@@ -148,21 +149,18 @@ def _static(controller, task: Task, columns) -> tuple[np.ndarray, dict]:
             A, B, _ = fine.linearize(z, u)
             C, _ = fine.linearize_output(z)
             G = C[columns] @ np.linalg.lstsq(np.eye(len(A)) - A, B, rcond=None)[0]
-            # little weight on the distance from the middle: of many inputs that hold a point, one
-            weight = 1e-3 * np.linalg.norm(G, 2)
-            system = np.vstack([G, weight * np.eye(len(u))])
-            target = np.concatenate([-error, weight * (0.0 * middle)])
+            # little weight on the change: of many inputs that hold a point, the nearest
+            system = np.vstack([G, 1e-3 * np.linalg.norm(G, 2) * np.eye(len(u))])
+            target = np.concatenate([-error, np.zeros(len(u))])
             change = lsq_linear(system, target, (lower - u - 1e-12, upper - u + 1e-12)).x
             u = np.clip(u + change, lower, upper)
             if np.abs(change).max() < 1e-4 * (upper - lower).max():
                 break
         floor.append(best)
-        at_bound += int(((u - lower < AT_BOUND * (upper - lower)) | (upper - u < AT_BOUND * (upper - lower))).any())
-    return np.array(floor), {"points with an input at a bound": at_bound, "points": POINTS}
+    return np.array(floor)
 
 
 def _settled(step, z: np.ndarray, u: np.ndarray, samples: int) -> tuple[np.ndarray, np.ndarray]:
-    y = None
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(samples):
             following, y = step(z, u)

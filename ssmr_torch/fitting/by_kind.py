@@ -67,16 +67,18 @@ def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name
     with TemporaryDirectory() as aside, _as_found():
         quiet()
         lightning.seed_everything(config.seed, workers=True, verbose=False)
-        training, card = _trained(config, data, Path(directory or aside), progress)
+        training, card = _trained(chosen, config, data, Path(directory or aside), progress)
     if progress is not False:
         print(_sentence(training, card))
     return TrainedModel(training.model.reduced.numpy(), card, training.model, training.report)
 
 
-def _trained(config, data: TrajectoryDataset, directory: Path, progress: bool | None) -> tuple[Training, dict]:
+def _trained(kind: str, config, data: TrajectoryDataset, directory: Path,
+             progress: bool | None) -> tuple[Training, dict]:
     """The training, and what an artifact's card says of it."""
     dataset = data.observing(config.outputs)
-    made = provenance(configuration.plain(config, without=("data", "logger"))) | {"name": config.name}
+    plain = configuration.plain(config, without=("data", "logger"))
+    made = provenance(plain) | {"name": config.name, "kind": kind}
     build = configuration.built(config.trainer)
 
     def trainer(**settings):

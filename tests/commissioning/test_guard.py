@@ -131,7 +131,9 @@ def test_a_robot_that_is_gone_is_left_to_itself(guard, robot):
         raise ConnectionError("gone")
 
     watched.plant.step = gone
+    given = len(watched.plant.commands)
     watched.relax()
+    assert len(watched.plant.commands) == given
 
 
 def test_a_state_is_refused(guard):

@@ -196,6 +196,27 @@ def test_a_design_of_an_actuator_that_was_known_has_no_profile_of_it(designed, t
     assert json.loads((tmp_path / "design.json").read_text())["actuator_error"] is None
 
 
+def test_obstacles_of_a_later_task_are_tightened_by_the_errors_on_the_held_out_runs(designed, task):
+    obstacle = ssmr.tasks.obstacles.Circle((0.05, 0.05), 0.002)
+    later = designed.controller.changed(replace(task, obstacles=(obstacle,)))
+    margins = later.problem.constraints.margins
+    assert margins.shape == (later.settings.horizon,) and (margins > 0).all() and (np.diff(margins) >= 0).all()
+
+
+def test_a_model_that_does_not_tell_its_kind_is_refused_where_it_would_have_to_be_fitted_again(
+        designed, robot, data, task, tmp_path):
+    model = ssmr.load(designed.save(tmp_path / "artifact"))
+    with pytest.raises(ValueError, match="its card does not tell its kind"):
+        ssmr.design(model, data, task, robot.input_bounds, identified=known())
+
+
+@pytest.mark.slow
+def test_a_model_by_another_name_is_fitted_again_by_its_kind(short_design, robot, data, task):
+    mine = ssmr.fit(data, "dmd", name="mine", progress=False)
+    _, report = short_design(robot, data, task, model=mine, identified=known())
+    assert report.model.words.startswith("DMD")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_model_can_be_designed_on(short_design, robot, data, task, kind):

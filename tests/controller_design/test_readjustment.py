@@ -9,7 +9,7 @@ from oscillators import H, Oscillators
 
 import ssmr_torch as ssmr
 from ssmr_torch.closed_loop import simulate
-from ssmr_torch.controller_design.readjustment import readjusted, readjustment
+from ssmr_torch.controller_design.readjustment import readjustment
 
 FAST = ssmr.tasks.figure_eight(0.006, 3.0, laps=5.5, tracked=("x", "y"))
 NOISY = {"of_sensor": OF_SENSOR, "of_inputs": 0.002}
@@ -31,48 +31,48 @@ def tracking_rms(record):
     return float(np.sqrt(np.square(record.error[record.time >= 1.0]).sum(1).mean()))
 
 
-def improved(designed, robot, record, found):
-    again = simulate(robot, readjusted(designed.controller, found).changed(FAST), FAST, seed=12)
+def improved(controller, robot, record):
+    again = simulate(robot, controller.changed(FAST), FAST, seed=12)
     return tracking_rms(again) / tracking_rms(record)
 
 
 def test_more_delay_and_lag_are_found(designed, expected):
     robot, record = operated(designed, delay=DELAY + 1, lag=0.06)
-    found = readjustment(designed.controller, record, expected=expected)
+    controller, found = designed.controller.readjust(record, expected=expected)
     assert found.accepted and found.actuator.delay == DELAY + 1
     assert found.actuator.lag == pytest.approx(0.06, abs=H)
-    assert found.after < 0.5 * found.before and improved(designed, robot, record, found) < 0.5
+    assert found.after < 0.5 * found.before and improved(controller, robot, record) < 0.5
 
 
 def test_an_input_of_less_gain_is_found(designed, expected):
     robot, record = operated(designed, gain=np.array([0.8, 1.0]))
-    found = readjustment(designed.controller, record, expected=expected)
+    controller, found = designed.controller.readjust(record, expected=expected)
     assert found.accepted
     assert found.actuator.factor == pytest.approx([0.8, 1.0], abs=0.03)
-    assert found.after < 0.5 * found.before and improved(designed, robot, record, found) < 0.7
+    assert found.after < 0.5 * found.before and improved(controller, robot, record) < 0.7
 
 
 def test_play_is_found(designed, expected):
     robot, record = operated(designed, play=0.05)
-    found = readjustment(designed.controller, record, expected=expected)
+    controller, found = designed.controller.readjust(record, expected=expected)
     assert found.accepted and found.actuator.play == pytest.approx(0.05, abs=0.011)
-    assert found.after < 0.5 * found.before and improved(designed, robot, record, found) < 0.6
+    assert found.after < 0.5 * found.before and improved(controller, robot, record) < 0.6
 
 
 def test_a_robot_as_it_was_is_left_as_it_is(designed, expected):
     _, record = operated(designed)
-    found = readjustment(designed.controller, record, expected=expected)
+    controller, found = designed.controller.readjust(record, expected=expected)
     assert not found.accepted and "nothing explains the record better" in found.words
-    assert readjusted(designed.controller, found) is designed.controller
+    assert controller is designed.controller
 
 
 def test_where_something_else_has_changed_it_is_not_accepted_and_both_errors_are_said(designed, expected):
     """A robot of twice the stiffness: no actuator makes it the old one."""
     _, record = operated(designed, pace=np.array([1.5, 0.7, 1.0]))
-    found = readjustment(designed.controller, record, expected=expected)
+    controller, found = designed.controller.readjust(record, expected=expected)
     assert not found.accepted and "something else has changed, record anew" in found.words
     assert f"{100 * expected:.3g} %" in found.words
-    assert readjusted(designed.controller, found) is designed.controller
+    assert controller is designed.controller
 
 
 def test_a_short_record_is_refused_with_both_lengths(designed):
