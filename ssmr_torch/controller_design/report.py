@@ -61,7 +61,10 @@ class DesignReport(DataSheet):
         best, found, search, reach = self.search.best, self.identification, self.search, self.recordings.reach
         mm = 1e3 * reach
         lines = [f"The actuators: {in_words(found.actuator)}."]
-        if np.isfinite(found.error):
+        if np.isfinite(found.error) and found.actuator.trivial:
+            lines.append(f"A cheap model misses held-out runs by {100 * found.error:.3g} % of the reach, and no actuator "
+                         "was found with which this and the best of all models predict better.")
+        elif np.isfinite(found.error):
             lines.append(f"With them a cheap model misses held-out runs by {100 * found.error:.3g} % of the reach, "
                          f"without by {100 * found.plain:.3g} %.")
         lines += [f"The model: {self.model.words}. It misses held-out runs by {100 * self.model.error:.3g} % of the "

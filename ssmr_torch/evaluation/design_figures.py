@@ -46,7 +46,7 @@ def _actuator(report) -> Figure | None:
     axes[2].legend(loc="upper center", bbox_to_anchor=(0.5, 1.3))
     axes[0].set_ylabel("held-out error (% of the reach)")
     for axis in axes:
-        axis.set_yscale("log")
+        axis.set_ylim(bottom=0.0)
     return figure
 
 
