@@ -62,8 +62,8 @@ class DesignReport(DataSheet):
         mm = 1e3 * reach
         lines = [f"The actuators: {in_words(found.actuator)}."]
         if np.isfinite(found.error) and found.actuator.trivial:
-            lines.append(f"A cheap model misses held-out runs by {100 * found.error:.3g} % of the reach, and no actuator "
-                         "was found with which this and the best of all models predict better.")
+            lines.append(f"A cheap model misses held-out runs by {100 * found.error:.3g} % of the reach, and no "
+                         "actuator was found with which this and the best of all models predict better.")
         elif np.isfinite(found.error):
             lines.append(f"With them a cheap model misses held-out runs by {100 * found.error:.3g} % of the reach, "
                          f"without by {100 * found.plain:.3g} %.")
