@@ -11,7 +11,7 @@ from ssmr_torch.experiments.entry import entry_point
 
 @entry_point("collect")
 def main(config, directory):
-    from ssmr_torch.data.recorded import COMPLETE, discard_recorded
+    from ssmr_torch.collection.resumption import COMPLETE, discard_recorded
     from ssmr_torch.provenance import provenance
 
     plant = instantiate(config.rig)(instantiate(config.plant))

@@ -12,7 +12,7 @@ from ssmr_torch.experiments.entry import entry_point, save_json, save_result
 @entry_point("compare")
 def main(config, directory):
     from ssmr_torch.evaluation import figures
-    from ssmr_torch.fitting.compare import compare
+    from ssmr_torch.fitting.compare_models import compare
     from ssmr_torch.provenance import provenance
 
     dataset = instantiate(config.data).observing(config.outputs)

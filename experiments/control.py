@@ -35,10 +35,10 @@ def bench(config, loaded):
 
 @entry_point("control")
 def main(config, directory):
-    from ssmr_torch import artifact
-    from ssmr_torch.closed_loop import simulate
+    from ssmr_torch.closed_loop.simulation import simulate
+    from ssmr_torch.deployment import artifact
     from ssmr_torch.provenance import provenance
-    from ssmr_torch.runner import made_of
+    from ssmr_torch.wire.runner import made_of
 
     loaded, task = artifact.load(config.artifact), instantiate(config.task)
     plant = bench(config, loaded)

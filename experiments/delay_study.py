@@ -11,7 +11,7 @@ from ssmr_torch.experiments.entry import entry_point, save_json
 
 def controlled_run(config, dataset):
     """The record of a closed loop, or the longest controlled test run."""
-    from ssmr_torch.closed_loop import ClosedLoopRecord
+    from ssmr_torch.closed_loop.record import ClosedLoopRecord
     from ssmr_torch.trajectory import Trajectory
 
     if config.record is not None:
@@ -27,7 +27,7 @@ def controlled_run(config, dataset):
 @entry_point("delay_study")
 def main(config, directory):
     from ssmr_torch.evaluation import figures, study_figures
-    from ssmr_torch.evaluation.delay_study import format_reconstruction, reconstruction_study
+    from ssmr_torch.paper.delay_study import format_reconstruction, reconstruction_study
     from ssmr_torch.provenance import provenance
 
     dataset = instantiate(config.data).observing(config.outputs)

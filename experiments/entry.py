@@ -16,7 +16,7 @@ from omegaconf import MissingMandatoryValue
 
 from ssmr_torch.configuration import register
 from ssmr_torch.extras import remedy
-from ssmr_torch.silence import quiet
+from ssmr_torch.quiet_libraries import quiet
 
 THEIRS = ("MisconfigurationException",)  # Lightning's word for a trainer that cannot be had
 

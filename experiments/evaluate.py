@@ -11,11 +11,11 @@ from ssmr_torch.experiments.entry import entry_point, save_json, save_result
 
 @entry_point("evaluate")
 def main(config, directory):
-    from ssmr_torch import artifact
+    from ssmr_torch.deployment import artifact
     from ssmr_torch.evaluation import figures
-    from ssmr_torch.evaluation.comparison import comparison_table, format_groups, stored
+    from ssmr_torch.evaluation.comparison_tables import comparison_table, format_groups, stored
+    from ssmr_torch.evaluation.report_sections import prediction_figures
     from ssmr_torch.evaluation.run_groups import compare_groups
-    from ssmr_torch.evaluation.sections import prediction_figures
     from ssmr_torch.provenance import provenance
 
     paths = [config.artifact] if isinstance(config.artifact, str) else list(config.artifact)

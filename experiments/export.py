@@ -10,7 +10,7 @@ from ssmr_torch.experiments.entry import entry_point
 
 @entry_point("export")
 def main(config, directory):
-    from ssmr_torch import artifact
+    from ssmr_torch.deployment import artifact
     from ssmr_torch.deployment.deploy import deploy
     from ssmr_torch.provenance import fingerprint, provenance
 
@@ -38,7 +38,7 @@ def main(config, directory):
 def model_of(config):
     """The model of a checkpoint or of a published file, and what an artifact's card says of it."""
     if config.mat is None:
-        from ssmr_torch.checkpoint_twin import load_twin
+        from ssmr_torch.deployment.checkpoint_twin import load_twin
 
         twin = load_twin(config.checkpoint)
         if twin is not None:
@@ -47,7 +47,7 @@ def model_of(config):
 
         model, card = load_model(config.checkpoint)
         return model.reduced.numpy(), card
-    from ssmr_torch.published_models import read_published_model
+    from ssmr_torch.paper.models import read_published_model
 
     return read_published_model(
         config.mat, output_names=config.output_names, input_names=config.input_names, rest=config.rest,

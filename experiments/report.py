@@ -9,7 +9,7 @@ from ssmr_torch.experiments.entry import entry_point
 @entry_point("report")
 def main(config, directory):
     from ssmr_torch.evaluation.report import write_report
-    from ssmr_torch.evaluation.sections import collect_sections
+    from ssmr_torch.evaluation.report_sections import collect_sections
     from ssmr_torch.provenance import provenance
 
     sections = collect_sections(config.directory)

@@ -28,14 +28,14 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf, open_dict, read_write
 from tqdm import tqdm
 
-from ssmr_torch import artifact
 from ssmr_torch.configuration import composed, folder, own_folders
+from ssmr_torch.deployment import artifact
 from ssmr_torch.experiments.entry import entry_point, save_json
+from ssmr_torch.paper.job_configuration import configuration
+from ssmr_torch.paper.jobs import STAGES, Job, chosen, keys, plan, quoted, slower_runs, with_recordings
+from ssmr_torch.paper.result_rows import MODEL_COLUMNS, RUN_COLUMNS, model_row, note_of, run_row
+from ssmr_torch.paper.workspace_errors import map_open_loop
 from ssmr_torch.provenance import provenance
-from ssmr_torch.reproduction.configured import configuration
-from ssmr_torch.reproduction.gather import MODEL_COLUMNS, RUN_COLUMNS, model_row, note_of, run_row
-from ssmr_torch.reproduction.open_loop import map_open_loop
-from ssmr_torch.reproduction.plan import STAGES, Job, chosen, keys, plan, quoted, slower_runs, with_recordings
 
 SINGLE = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 PARTIAL = "with what there was"  # in place of the hash of a job that some of its needs were missing for
@@ -288,7 +288,7 @@ def report(directory: Path, figures: list[str]) -> None:
     """report.html of the chosen figures."""
     # imported here: no job draws
     from ssmr_torch.evaluation.report import write_report
-    from ssmr_torch.reproduction.sections import report_sections
+    from ssmr_torch.paper.report_sections import report_sections
 
     origin = {name: str(value) for name, value in provenance().items()}
     title = "Discovering dominant dynamics for nonlinear continuum robot control: what comes out"

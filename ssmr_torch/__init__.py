@@ -28,15 +28,15 @@ __version__ = "0.10.0"
 
 if TYPE_CHECKING:
     from ssmr_torch import plants, tasks
-    from ssmr_torch.closed_loop import ClosedLoopRecord
+    from ssmr_torch.closed_loop.record import ClosedLoopRecord
     from ssmr_torch.control.mpc import ModelPredictiveController
-    from ssmr_torch.control.settings import PredictiveControlSettings
+    from ssmr_torch.control.mpc_settings import PredictiveControlSettings
     from ssmr_torch.controller_design.design import design
     from ssmr_torch.controller_design.rehearsal import rehearse
     from ssmr_torch.data.arrays import trajectories
     from ssmr_torch.face import check, load, read, simulate
     from ssmr_torch.fitting.by_kind import fit
-    from ssmr_torch.fitting.compare import compare
+    from ssmr_torch.fitting.compare_models import compare
     from ssmr_torch.score_table import score
     from ssmr_torch.trained_model import TrainedModel
     from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
@@ -50,10 +50,10 @@ __getattr__, __dir__ = lazily(__name__, {
     "trajectories": "ssmr_torch.data.arrays:trajectories", "fit": "ssmr_torch.fitting.by_kind:fit",
     "design": "ssmr_torch.controller_design.design:design",
     "rehearse": "ssmr_torch.controller_design.rehearsal:rehearse",
-    "compare": "ssmr_torch.fitting.compare:compare",
+    "compare": "ssmr_torch.fitting.compare_models:compare",
     "score": "ssmr_torch.score_table:score", "TrainedModel": "ssmr_torch.trained_model:TrainedModel",
     "Trajectory": "ssmr_torch.trajectory:Trajectory", "TrajectoryDataset": "ssmr_torch.trajectory:TrajectoryDataset",
-    "ClosedLoopRecord": "ssmr_torch.closed_loop:ClosedLoopRecord",
+    "ClosedLoopRecord": "ssmr_torch.closed_loop.record:ClosedLoopRecord",
     "ModelPredictiveController": "ssmr_torch.control.mpc:ModelPredictiveController",
-    "PredictiveControlSettings": "ssmr_torch.control.settings:PredictiveControlSettings",
+    "PredictiveControlSettings": "ssmr_torch.control.mpc_settings:PredictiveControlSettings",
     "plants": "ssmr_torch.plants:", "tasks": "ssmr_torch.tasks:"})

@@ -16,8 +16,8 @@ from pathlib import Path
 from ssmr_torch import __version__
 from ssmr_torch.extras import remedy, require
 
-COMMANDS = ("collect", "check", "train", "compare", "export", "evaluate", "design", "control", "commission", "serve",
-            "serve-plant", "report", "delay-study", "reproduce")
+COMMANDS = ("collect", "check", "train", "compare", "export", "evaluate", "design", "control", "commission",
+            "serve-controller", "serve-plant", "report", "delay-study", "reproduce")
 SEARCHES = ("sweep=", "tuning=")
 COMPLETION = ("-sc", "--shell-completion")  # as Hydra has it
 

@@ -11,7 +11,7 @@ from math import isfinite
 import numpy as np
 
 from ssmr_torch import data_sheet as sheet
-from ssmr_torch.evaluation.comparison import BEST, LEGEND, marks, starts_of, stored, table_rows
+from ssmr_torch.evaluation.comparison_tables import BEST, LEGEND, marks, starts_of, stored, table_rows
 from ssmr_torch.evaluation.horizon_scores import HorizonScore, OpenLoopScore
 from ssmr_torch.evaluation.run_groups import GroupedScores
 from ssmr_torch.trained_model import TrainedModel

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 from ssmr_torch.lazy import found
 
 if TYPE_CHECKING:
-    from ssmr_torch.closed_loop import ClosedLoopRecord
-    from ssmr_torch.recordings.report import RecordingsReport
+    from ssmr_torch.closed_loop.record import ClosedLoopRecord
+    from ssmr_torch.recording_checks.report import RecordingsReport
     from ssmr_torch.trained_model import TrainedModel
     from ssmr_torch.trajectory import TrajectoryDataset
 
 EXPECTED = ("an artifact (a folder with card.json, of ssmr export or model.save), or an .h5 file of trajectories (ssmr "
             "collect, data.save) or of a closed loop (record.save)")
 READERS = {"ssmr_torch trajectories": "ssmr_torch.data.readers:stored",
-           "ssmr_torch closed loop": "ssmr_torch.closed_loop:ClosedLoopRecord"}
+           "ssmr_torch closed loop": "ssmr_torch.closed_loop.record:ClosedLoopRecord"}
 ADVICE = {".ckpt": "a checkpoint: ssmr export checkpoint=FILE makes an artifact of it",
           ".yaml": "a card perhaps: ssmr_torch.read(FILE) reads recordings by a card"}
 
@@ -53,7 +53,7 @@ def check(data: TrajectoryDataset) -> RecordingsReport:
     >>> print(report["decays"].said)
     1 decay; in its last tenth it moves by at most 0.44 % of its size, and its end lies 0.019 mm from rest.
     """
-    return found("ssmr_torch.recordings.report:check")(data)
+    return found("ssmr_torch.recording_checks.report:check")(data)
 
 
 def load(path: str | Path) -> TrajectoryDataset | TrainedModel | ClosedLoopRecord:
@@ -121,5 +121,5 @@ def simulate(plant, controller, task, *, noise: float = 0.0, seed: int = 0, prog
     └─ made by: ssmr_torch ...
     """
     origin = found("ssmr_torch.provenance:provenance")() | (provenance or {})
-    return found("ssmr_torch.closed_loop:simulate")(plant, controller, task, seed=seed, noise_std=noise,
+    return found("ssmr_torch.closed_loop.simulation:simulate")(plant, controller, task, seed=seed, noise_std=noise,
                                                     progress=progress, provenance=origin, watch=watch)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from ssmr_torch import artifact
 from ssmr_torch import data_sheet as sheet
-from ssmr_torch.artifact import Artifact
+from ssmr_torch.deployment import artifact
+from ssmr_torch.deployment.artifact import Artifact
 from ssmr_torch.evaluation.bootstrap import Interval
-from ssmr_torch.evaluation.comparison import (
+from ssmr_torch.evaluation.comparison_tables import (
     CELLS,
     LEGEND,
     SHARES,

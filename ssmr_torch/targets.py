@@ -10,6 +10,8 @@ from math import isfinite, isnan
 
 import numpy as np
 
+from ssmr_torch.renamed import current
+
 ROOMS = ("ssmr_torch.control.", "ssmr_torch.tasks.")
 
 
@@ -24,7 +26,7 @@ def build(settings: dict, *arguments, packages: Sequence[str] = (), **more):
     solver = settings.get("qp")
     if isinstance(solver, str) and ":" in solver and not solver.startswith("qpsolvers:"):
         _refuse_elsewhere("qp", solver.replace(":", "."), packages)
-    module, _, name = target.rpartition(".")
+    module, _, name = current(target).rpartition(".")
     try:
         function = getattr(import_module(module), name)
     except (ModuleNotFoundError, AttributeError) as error:

@@ -21,9 +21,9 @@ from ssmr_torch import configuration
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.designed import DesignedController
 from ssmr_torch.control.disturbance_observer import DisturbanceObserver
-from ssmr_torch.control.settings import PredictiveControlSettings
+from ssmr_torch.control.mpc_settings import PredictiveControlSettings
 from ssmr_torch.data.windows import SegmentDataset
-from ssmr_torch.fitting.exact import ExactSolve
+from ssmr_torch.fitting.closed_form_fit import ExactSolve
 
 configuration.register()
 ROOT = Path(__file__).resolve().parents[1]

@@ -11,16 +11,16 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
+from ssmr_torch.closed_loop.rerun_view import RerunView
 from ssmr_torch.data.derivatives import Stencil
-from ssmr_torch.fitting.fit import ModelFit
+from ssmr_torch.fitting.lightning_fit import ModelFit
 from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.ssmr import SSSR
 from ssmr_torch.plants.base import Plant
-from ssmr_torch.plants.rig import Rig
+from ssmr_torch.plants.emulated_rig import Rig
 from ssmr_torch.tasks.references import Task
 from ssmr_torch.trajectory import TrajectoryDataset
-from ssmr_torch.view.rerun_view import RerunView
 
 VIEW_SETTINGS = [name for name, parameter in inspect.signature(RerunView).parameters.items()
                  if parameter.kind is parameter.KEYWORD_ONLY]
@@ -71,7 +71,7 @@ def test_every_rig_takes_every_entry_points_plant_and_names_all_settings(entry, 
 
 
 def test_a_rig_takes_one_limit_per_input():
-    config = compose("control", ["rig=hardware", "rig.rate_limit=[1,2,3,4]", "rig.saturation=1.0"])
+    config = compose("control", ["rig=emulated_bench", "rig.rate_limit=[1,2,3,4]", "rig.saturation=1.0"])
     assert instantiate(config.rig)(instantiate(config.plant)).parameters["rate_limit"] == [1.0, 2.0, 3.0, 4.0]
 
 

@@ -90,7 +90,7 @@ def test_no_file_repeats_a_default(path):
 
 
 def test_a_repeated_default_would_be_found_at_any_depth():
-    node = {"controlled": [{"excitation": {"_target_": "ssmr_torch.data.excitation.SmoothRandom", "share": 0.5,
+    node = {"controlled": [{"excitation": {"_target_": "ssmr_torch.collection.excitation.SmoothRandom", "share": 0.5,
                                             "knot_interval": 0.4}}],
             "controller": {"_target_": "ssmr_torch.control.mpc.ModelPredictiveController", "horizon": 5, "period": 1.0}}
     assert list(repeated(node)) == ["controlled.0.excitation.knot_interval = 0.4", "controller.horizon = 5"]

@@ -10,7 +10,7 @@ import ssmr_torch as ssmr
 from ssmr_torch.data_sheet import DataSheet, html, text
 
 EXAMPLES = ("data_sheet", "run", "trajectory", "data.arrays", "face", "fitting.by_kind", "score_table", "trained_model",
-            "tasks.references", "plants.slow_manifold", "control.settings")
+            "tasks.references", "plants.slow_manifold", "control.mpc_settings")
 
 
 def swinging(seconds=8.0, seed=0):

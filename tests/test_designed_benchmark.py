@@ -12,7 +12,7 @@ from ssmr_torch import configuration
 from ssmr_torch.control.designed import DesignedController
 from ssmr_torch.data.arrays import trajectories
 from ssmr_torch.plants.base import Plant
-from ssmr_torch.plants.rig import Rig
+from ssmr_torch.plants.emulated_rig import Rig
 
 BENCHMARKS = Path(__file__).parents[1] / "experiments" / "benchmarks"
 OSCILLATORS = {"decays": 6, "validation_decays": 0, "test_decays": 0, "decay_duration": 1.0}

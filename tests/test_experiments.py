@@ -16,8 +16,9 @@ from typing import NamedTuple
 import pytest
 from omegaconf import OmegaConf
 
-from ssmr_torch import artifact, command
-from ssmr_torch.closed_loop import ClosedLoopRecord
+from ssmr_torch import command
+from ssmr_torch.closed_loop.record import ClosedLoopRecord
+from ssmr_torch.deployment import artifact
 from ssmr_torch.experiments.sweep_table import baselines, save_best, save_controller
 from ssmr_torch.trajectory import TrajectoryDataset
 

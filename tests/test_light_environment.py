@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ssmr_torch import artifact
-from ssmr_torch.closed_loop import simulate
+from ssmr_torch.closed_loop.simulation import simulate
+from ssmr_torch.deployment import artifact
 from ssmr_torch.plants.slow_manifold import SlowManifold
-from ssmr_torch.runner import build
+from ssmr_torch.wire.runner import build
 
 ROOT = Path(__file__).resolve().parents[1]
 LARGEST = 460  # MB, of all that the line installs
@@ -36,11 +36,11 @@ def light(wheel, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def shipped(bench, tmp_path_factory):
-    """An artifact with the names of the slow manifold, and the settings that `ssmr serve` writes for it."""
+    """An artifact with the names of the slow manifold, and the settings that `ssmr serve-controller` writes for it."""
     plant, at = SlowManifold(), tmp_path_factory.mktemp("shipped")
     artifact.save(at / "artifact", bench.oscillators(), output_names=plant.output_names,
                   input_names=plant.input_names, rest=plant.rest, input_range=plant.input_bounds)
-    subprocess.run([Path(sys.executable).with_name("ssmr"), "serve", "artifact=artifact", "task=letter",
+    subprocess.run([Path(sys.executable).with_name("ssmr"), "serve-controller", "artifact=artifact", "task=letter",
                     "controller=scp_trunk", "runs=0", "bind=tcp://127.0.0.1:*", "hydra.run.dir=serve"], cwd=at,
                    check=True)
     return at
@@ -104,7 +104,7 @@ def test_what_is_missing_in_it_is_named_with_its_extra(light, tmp_path):
 
 def test_the_example_of_the_wire_is_steered_by_the_runner_through_a_letter(light, shipped, tmp_path):
     [example] = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "wire.md").read_text(), flags=re.DOTALL)
-    runner = python(light, "-m", "ssmr_torch.runner", shipped / "artifact", "--settings",
+    runner = python(light, "-m", "ssmr_torch.wire.runner", shipped / "artifact", "--settings",
                     shipped / "serve" / "settings.json", "--bind", "tcp://127.0.0.1:*", "--runs", 1, cwd=tmp_path)
     watchdog = threading.Timer(LIMIT, runner.kill)
     watchdog.start()

@@ -32,13 +32,13 @@ def test_what_may_not_be_imported_is_not_there():
 
 @pytest.mark.parametrize(("allowed", "modules"), [
     (set(), ["", "status", "provenance"]),
-    (ROBOT, ["artifact", "control.mpc", "control.observers", "control.designed",
-             "control.disturbance_observer", "control.solvers.proxqp", "runner", "tasks.references"]),
-    ({"numpy", "safetensors", "zmq"}, ["runner", "wire.serving", "wire.link", "wire.robot_end"]),
+    (ROBOT, ["deployment.artifact", "control.mpc", "control.kalman_observers", "control.designed",
+             "control.disturbance_observer", "control.solvers.proxqp", "wire.runner", "tasks.references"]),
+    ({"numpy", "safetensors", "zmq"}, ["wire.runner", "wire.serving", "wire.link", "wire.robot_end"]),
     ({"numpy", "safetensors"}, ["deployment.deploy"]),
     ({"numpy"}, ["evaluation.open_loop", "evaluation.metrics"]),
-    (ROBOT | {"h5py", "tqdm", "scipy"}, ["closed_loop", "trajectory", "plants.slow_manifold", "plants.trunk",
-                                         "plants.rig"]),
+    (ROBOT | {"h5py", "tqdm", "scipy"}, ["closed_loop.simulation", "trajectory", "plants.slow_manifold", "plants.trunk",
+                                         "plants.emulated_rig"]),
 ], ids=["the package", "a robot", "the wire", "export in C", "scores", "a simulation"])
 def test_what_runs_alone_needs_no_more_than_this(allowed, modules):
     """Neither Torch, Lightning, Hydra, wandb, matplotlib nor scikit-learn, unless it is named here."""

@@ -15,13 +15,13 @@ import lightning
 import numpy as np
 from matplotlib.ticker import StrMethodFormatter
 
-from ssmr_torch.data.collection import ControlledRun, collect
+from ssmr_torch.collection.collect import ControlledRun, collect
+from ssmr_torch.collection.excitation import SmoothRandom, latin_hypercube_ramps
 from ssmr_torch.data.datamodule import TrajectoryDataModule
-from ssmr_torch.data.excitation import SmoothRandom, latin_hypercube_ramps
 from ssmr_torch.evaluation import figures
 from ssmr_torch.evaluation.figures import METHODS, MM, WIDTH, panels
+from ssmr_torch.evaluation.measured_rollouts import predict_trajectory
 from ssmr_torch.evaluation.open_loop import score_open_loop
-from ssmr_torch.evaluation.rollouts import predict_trajectory
 from ssmr_torch.fitting.training import least_squares, train
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.plants.slow_manifold import SlowManifold

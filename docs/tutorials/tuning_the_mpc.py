@@ -15,18 +15,18 @@ import lightning
 import numpy as np
 from matplotlib.ticker import StrMethodFormatter
 
-from ssmr_torch.closed_loop import simulate
+from ssmr_torch.closed_loop.simulation import simulate
+from ssmr_torch.collection.collect import ControlledRun, collect
+from ssmr_torch.collection.excitation import SmoothRandom, latin_hypercube_ramps
+from ssmr_torch.control.kalman_observers import KalmanObserver
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.control.observers import KalmanObserver
-from ssmr_torch.data.collection import ControlledRun, collect
 from ssmr_torch.data.datamodule import TrajectoryDataModule
-from ssmr_torch.data.excitation import SmoothRandom, latin_hypercube_ramps
 from ssmr_torch.evaluation import figures
 from ssmr_torch.evaluation.figures import METHODS, MM, MS, SPARE_COLOURS, WIDTH, panels
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.fitting.training import least_squares, train
 from ssmr_torch.models.ssmr import SSMR
-from ssmr_torch.plants.rig import rig
+from ssmr_torch.plants.emulated_rig import rig
 from ssmr_torch.plants.slow_manifold import SlowManifold
 from ssmr_torch.tasks.references import figure_eight
 

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ssmr_torch.closed_loop import ClosedLoopRecord
-from ssmr_torch.data.collection import ControlledRun, collect
-from ssmr_torch.data.excitation import SmoothRandom
+from ssmr_torch.closed_loop.record import ClosedLoopRecord
+from ssmr_torch.collection.collect import ControlledRun, collect
+from ssmr_torch.collection.excitation import SmoothRandom
 from ssmr_torch.evaluation import figures
 from ssmr_torch.plants.slow_manifold import SlowManifold
 

@@ -20,8 +20,8 @@ import qpsolvers
 from contenders import Acados, Unavailable, casadi_rti, ipopt
 from control_step import machine, measure, predictive
 
-from ssmr_torch.control.any_qp import QPSolvers
 from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.control.solvers_of_qpsolvers import QPSolvers
 
 # Tight enough for the residuals of 1e-5 that we accept; what the solvers do by themselves differs widely.
 PRECISE = {

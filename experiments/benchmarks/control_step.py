@@ -16,7 +16,7 @@ from time import perf_counter, thread_time
 import numpy as np
 
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.control.settings import PredictiveControlSettings
+from ssmr_torch.control.mpc_settings import PredictiveControlSettings
 from ssmr_torch.models.monomials import count_monomials
 from ssmr_torch.models.named_structures import spectral_submanifold
 from ssmr_torch.models.polynomial import PolynomialModel

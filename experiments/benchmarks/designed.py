@@ -38,7 +38,7 @@ from judgement import finite, measured
 from robots_under_test import NOMINAL, NOT_TOLD, ROBOTS, Condition, Robot, robot_named
 
 import ssmr_torch as ssmr
-from ssmr_torch.closed_loop import simulate
+from ssmr_torch.closed_loop.simulation import simulate
 from ssmr_torch.control.designed import DesignedController
 from ssmr_torch.trajectory import TrajectoryDataset
 

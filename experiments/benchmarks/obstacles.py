@@ -18,11 +18,12 @@ import numpy as np
 from control_step import machine
 from robots import kept
 
-from ssmr_torch import artifact, configuration
-from ssmr_torch.closed_loop import simulate
+from ssmr_torch import configuration
+from ssmr_torch.closed_loop.simulation import simulate
+from ssmr_torch.control.kalman_observers import KalmanObserver
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.control.observers import KalmanObserver
 from ssmr_torch.control.tightening import tightened
+from ssmr_torch.deployment import artifact
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.fitting.by_kind import fit
 from ssmr_torch.tasks.obstacles import random_circles

@@ -20,7 +20,7 @@ from ssmr_torch import configuration
 from ssmr_torch import data_sheet as sheet
 from ssmr_torch.comparison import Comparison
 from ssmr_torch.extras import remedy
-from ssmr_torch.fitting.compare import compare
+from ssmr_torch.fitting.compare_models import compare
 from ssmr_torch.trajectory import TrajectoryDataset
 
 ROBOTS = ("tendon_chain", "cosserat_rod", "pressure_arm", "isupport", "planar_hsa")

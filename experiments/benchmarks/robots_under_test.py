@@ -122,7 +122,7 @@ OFFSET = Condition("payload", changes={"offset": 0.05},
                    note="the plant has none: an offset of the first input by 5 % of its range in its place")
 
 _BENCH = EmulatedBench(
-    "bench", ("plant=diamond", "rig=hardware", "plant.young=157.5e3", "rig.outputs=[tip_x,tip_y,tip_z]"),
+    "bench", ("plant=diamond", "rig=emulated_bench", "plant.young=157.5e3", "rig.outputs=[tip_x,tip_y,tip_z]"),
     (Condition("+ 20 ms delay", changes={"delay": 0.02}), Condition("+ 20 ms lag", changes={"lag": 0.02}),
      Condition("friction × 2", overrides=("rig.cable_friction=0.2",)),
      Condition("payload 20 g", overrides=("plant.payload=0.02",)),

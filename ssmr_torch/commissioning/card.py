@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from ssmr_torch.data.card import described
-from ssmr_torch.data.excitation import neutral_input
+from ssmr_torch.collection.excitation import neutral_input
+from ssmr_torch.data.recording_card import described
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.settings import non_negative, positive
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ssmr_torch.collection.resumption import COMPLETE
 from ssmr_torch.commissioning.card import BenchCard, fitted, read_bench_card
 from ssmr_torch.commissioning.channels import admissible_share, channel_faults, channels_said, expectations
 from ssmr_torch.commissioning.circles import circle_about, reach, tracked_outputs
@@ -19,7 +20,6 @@ from ssmr_torch.commissioning.guard import GuardedPlant, SafetyStop
 from ssmr_torch.commissioning.noise import measure_noise, noise_faults, noise_said
 from ssmr_torch.commissioning.report import FIGURES, TITLES, written
 from ssmr_torch.commissioning.steps import measure_steps
-from ssmr_torch.data.recorded import COMPLETE
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.settings import Settings, positive, whole
 from ssmr_torch.tasks.references import Task
@@ -199,7 +199,7 @@ class Commissioning:
         return self._drawn("fast circle", self.settings.fast_lap)
 
     def _drawn(self, step: str, lap: float) -> tuple[str, list]:
-        from ssmr_torch.closed_loop import simulate
+        from ssmr_torch.closed_loop.simulation import simulate
         from ssmr_torch.evaluation.metrics import closed_loop_metrics
 
         task, about, radius = self._circle(step, lap)

@@ -13,9 +13,9 @@ import h5py
 import numpy as np
 
 from ssmr_torch import __version__
-from ssmr_torch.closed_loop import ClosedLoopRecord
+from ssmr_torch.closed_loop.record import ClosedLoopRecord
+from ssmr_torch.collection.resumption import COMPLETE, FOLDER, discard_recorded
 from ssmr_torch.commissioning.card import BenchCard, changed_keys, read_bench_card
-from ssmr_torch.data.recorded import COMPLETE, FOLDER, discard_recorded
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 

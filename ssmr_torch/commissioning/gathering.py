@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from ssmr_torch.collection.resumption import COMPLETE
 from ssmr_torch.commissioning.directory import BenchDirectory, dataset_of
 from ssmr_torch.commissioning.guard import GuardedPlant, SafetyStop
-from ssmr_torch.data.recorded import COMPLETE
 from ssmr_torch.trajectory import TrajectoryDataset
 
 NARROWER = 0.75   # of the share of the input range, after each stop

@@ -7,9 +7,9 @@ from contextlib import suppress
 
 import numpy as np
 
+from ssmr_torch.collection.excitation import neutral_input
+from ssmr_torch.collection.plans import described_plant
 from ssmr_torch.commissioning.card import BenchCard
-from ssmr_torch.data.excitation import neutral_input
-from ssmr_torch.data.plans import described_plant
 from ssmr_torch.plants.base import Plant, PlantSheet, finite_vector
 from ssmr_torch.trajectory import Trajectory
 

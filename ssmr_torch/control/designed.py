@@ -10,7 +10,7 @@ import numpy as np
 
 from ssmr_torch.control.base import changed_bounds
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.control.settings import PredictiveControlSettings
+from ssmr_torch.control.mpc_settings import PredictiveControlSettings
 from ssmr_torch.keywords import configurable
 from ssmr_torch.lazy import found
 from ssmr_torch.targets import build, written

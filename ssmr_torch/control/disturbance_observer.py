@@ -7,8 +7,8 @@ from collections import Counter
 import numpy as np
 
 from ssmr_torch.control.base import whole_steps
-from ssmr_torch.control.estimation import ChartEstimator
-from ssmr_torch.control.gate import InnovationGate
+from ssmr_torch.control.chart_estimator import ChartEstimator
+from ssmr_torch.control.outlier_gate import InnovationGate
 from ssmr_torch.control.stepping import Stepper
 
 BEYOND = 1.2      # times the recorded range: a state there which mispredicts as well is lost

@@ -12,10 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.control import condensing, kernel
+from ssmr_torch.control import condensing
+from ssmr_torch.control import horizon_kernel as kernel
 from ssmr_torch.control.actuator import Actuator, lag_matrix, lagged
 from ssmr_torch.control.constraints import ConstraintsAhead
-from ssmr_torch.control.problem import TrackingProblem
+from ssmr_torch.control.tracking_problem import TrackingProblem
 from ssmr_torch.lazy import found
 
 # T dy/dt from y_0 and those one, two and three periods later: differences of first to third order.

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ssmr_torch.control.checked_measurement import RecordedRange, read
 from ssmr_torch.control.clock import SampleClock, seconds
-from ssmr_torch.control.measurement import RecordedRange, read
 
 log = logging.getLogger(__name__)
 BEYOND_THE_RANGE = "beyond the recorded range"

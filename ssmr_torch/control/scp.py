@@ -10,8 +10,8 @@ import numpy as np
 from ssmr_torch.control.condensing import output_rows
 from ssmr_torch.control.constraints import HEAVIER, ConstraintsAhead
 from ssmr_torch.control.horizon import Condensed, Horizon
-from ssmr_torch.control.problem import SLACK_SCALE, TrackingProblem
-from ssmr_torch.control.qp import QPSolution, QuadraticProgram
+from ssmr_torch.control.quadratic_program import QPSolution, QuadraticProgram
+from ssmr_torch.control.tracking_problem import SLACK_SCALE, TrackingProblem
 from ssmr_torch.status import Status
 
 ARMIJO = 1e-4

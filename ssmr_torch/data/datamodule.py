@@ -8,7 +8,7 @@ import lightning
 import numpy as np
 from torch.utils.data import DataLoader, RandomSampler, Subset
 
-from ssmr_torch.data.settings import DataSettings
+from ssmr_torch.data.data_settings import DataSettings
 from ssmr_torch.data.starts import ScoredRuns, starts_over
 from ssmr_torch.data.windows import RolloutDataset, SegmentDataset, SegmentShare, stack_rollouts
 from ssmr_torch.keywords import configurable

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ssmr_torch.data.run_boundaries import count_blips, count_frozen, find_seams, find_time_gaps
 from ssmr_torch.data.sampling import SamplingRule, is_uniform, refuse_irregular, to_grid
-from ssmr_torch.data.seams import count_blips, count_frozen, find_seams, find_time_gaps
 from ssmr_torch.data.units import Plausible, Units
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 

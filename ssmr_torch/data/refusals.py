@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ssmr_torch.data.copies import equal_pairs, is_copied, shared_rows
+from ssmr_torch.data.shared_samples import equal_pairs, is_copied, shared_rows
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 STILL = 1e-9        # of the largest range, below which a marker does not move

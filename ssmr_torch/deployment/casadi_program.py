@@ -8,7 +8,7 @@ from pathlib import Path
 import casadi
 import numpy as np
 
-from ssmr_torch.deployment.reference import SIGNATURES, Signature
+from ssmr_torch.deployment.reference_batch import SIGNATURES, Signature
 from ssmr_torch.models.base import Model
 
 MATRICES = ("A", "B")  # what a function gives beside vectors

@@ -19,12 +19,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch import artifact
-from ssmr_torch.artifact import Artifact
-from ssmr_torch.deployment.c_library import FLAGS, CLibrary, compile_library, compiler
-from ssmr_torch.deployment.c_source import write_c
-from ssmr_torch.deployment.c_text import identifier
-from ssmr_torch.deployment.reference import Sought, check, expected, horizon_inputs
+from ssmr_torch.deployment import artifact
+from ssmr_torch.deployment.artifact import Artifact
+from ssmr_torch.deployment.c.compiled_library import FLAGS, CLibrary, compile_library, compiler
+from ssmr_torch.deployment.c.literals import identifier
+from ssmr_torch.deployment.c.model_source import write_c
+from ssmr_torch.deployment.reference_batch import Sought, check, expected, horizon_inputs
 
 FORMATS = ("c", "torch", "onnx", "casadi")
 MODULES = {"c": (), "torch": ("torch",), "onnx": ("torch", "onnx", "onnxruntime", "onnxscript"),
@@ -106,7 +106,7 @@ def _write_c_controller(loaded: Artifact, aside: Path):
     """The observer and the actuators of the controller that the artifact carries; None where it carries none."""
     if loaded.designed is None:
         return None
-    from ssmr_torch.deployment.c_controller import write_controller  # Numba, which a model alone does not need
+    from ssmr_torch.deployment.c.controller import write_controller  # Numba, which a model alone does not need
 
     steering = write_controller(loaded.model, loaded.card, loaded.designed)
     if steering is not None:
@@ -122,7 +122,7 @@ def check_c_controller(steering, aside: Path, build: Path) -> float:
     """
     import ctypes
 
-    from ssmr_torch.deployment.c_controller_library import CompiledController, differences
+    from ssmr_torch.deployment.c.controller_library import CompiledController, differences
 
     compile_library(aside / f"{steering.name}.c", build / "controller.so", FLAGS,
                     aside / f"{steering.name}_controller.c")

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.export import Dim, ExportedProgram
 from torch.overrides import TorchFunctionMode
 
-from ssmr_torch.deployment.reference import SIGNATURES, Signature
+from ssmr_torch.deployment.reference_batch import SIGNATURES, Signature
 from ssmr_torch.models.base import Model
 from ssmr_torch.models.torch_model import FixedModel, TorchModel
 

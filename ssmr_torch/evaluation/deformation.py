@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ssmr_torch.closed_loop import ClosedLoopRecord
+from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.evaluation import figures
 from ssmr_torch.evaluation.robot_figures import HANGING, STANDING, add_circles, robot_animation, robot_stills
 

@@ -20,7 +20,7 @@ from ssmr_torch.fitting.checkpoints import load_model
 from ssmr_torch.fitting.options import dotted
 from ssmr_torch.fitting.training import Training, train
 from ssmr_torch.provenance import provenance
-from ssmr_torch.silence import LIGHTNING, quiet
+from ssmr_torch.quiet_libraries import LIGHTNING, quiet
 from ssmr_torch.trained_model import TrainedModel
 from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import torch
 
-from ssmr_torch.checkpoint_twin import save_twin
-from ssmr_torch.fitting.fit import description
+from ssmr_torch.deployment.checkpoint_twin import save_twin
+from ssmr_torch.fitting.lightning_fit import description
 from ssmr_torch.lazy import found
 from ssmr_torch.models.torch_model import TorchModel
 

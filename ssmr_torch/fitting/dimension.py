@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ssmr_torch.data.windows import SegmentDataset, delay_windows
-from ssmr_torch.fitting.statistics import Factor, singular_values
+from ssmr_torch.fitting.streamed_least_squares import Factor, singular_values
 
 
 def window_singular_values(trajectories: Sequence, delays: int, *, transient: float = 0.0,

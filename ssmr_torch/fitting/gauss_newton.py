@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from ssmr_torch.data.windows import RolloutBatch
-from ssmr_torch.fitting.fit import ModelFit
+from ssmr_torch.fitting.lightning_fit import ModelFit
 from ssmr_torch.fitting.rollout_sensitivities import coefficients, rollout_sensitivities
 from ssmr_torch.fitting.stability import StabilityGuard
 from ssmr_torch.models.batch_rollout import batch_of

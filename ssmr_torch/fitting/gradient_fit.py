@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from ssmr_torch.data.windows import RolloutBatch
-from ssmr_torch.fitting.fit import ModelFit
+from ssmr_torch.fitting.lightning_fit import ModelFit
 from ssmr_torch.fitting.scaled_adam import ScaledAdam, table_scales
 from ssmr_torch.models.torch_model import TorchModel
 

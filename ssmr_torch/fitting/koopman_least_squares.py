@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from ssmr_torch.data.windows import Segment, delay_windows
 from ssmr_torch.fitting.ssmr_least_squares import Regression
-from ssmr_torch.fitting.statistics import Solution
+from ssmr_torch.fitting.streamed_least_squares import Solution
 from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.periods import whole_multiple
 

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from ssmr_torch.data.windows import Segment
 from ssmr_torch.fitting.polynomial_least_squares import PolynomialLeastSquares
 from ssmr_torch.fitting.ssmr_least_squares import Regression
-from ssmr_torch.fitting.statistics import Solution
+from ssmr_torch.fitting.streamed_least_squares import Solution
 from ssmr_torch.models.monomials import graded
 from ssmr_torch.models.structure import Structure
 from ssmr_torch.models.torch_model import PolynomialTorchModel, TorchModel, table

@@ -9,7 +9,7 @@ from torch import nn
 
 from ssmr_torch.data.windows import Segment
 from ssmr_torch.fitting.ssmr_least_squares import Regression, SSMRLeastSquares
-from ssmr_torch.fitting.statistics import Solution
+from ssmr_torch.fitting.streamed_least_squares import Solution
 from ssmr_torch.models.neural_ode import NeuralODE
 from ssmr_torch.models.ssmr import SSSR
 

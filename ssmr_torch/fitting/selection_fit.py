@@ -7,8 +7,8 @@ from tqdm import tqdm
 
 from ssmr_torch.data.refusals import check_learnable, refuse_still_inputs
 from ssmr_torch.data.windows import Segment
-from ssmr_torch.fitting.exact import ExactSolve
-from ssmr_torch.fitting.fit import ModelFit
+from ssmr_torch.fitting.closed_form_fit import ExactSolve
+from ssmr_torch.fitting.lightning_fit import ModelFit
 from ssmr_torch.keywords import configurable
 from ssmr_torch.models.slow_fast import SlowFast
 from ssmr_torch.periods import whole_multiple

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from ssmr_torch.data.derivatives import Stencil, central_difference
 from ssmr_torch.data.windows import Segment, delay_windows
-from ssmr_torch.fitting.statistics import Solution, singular_values
+from ssmr_torch.fitting.streamed_least_squares import Solution, singular_values
 from ssmr_torch.models.monomials import graded
 from ssmr_torch.models.ssmr import SSMR
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from ssmr_torch.data.windows import RolloutBatch, RolloutDataset
-from ssmr_torch.fitting.fit import ModelFit
+from ssmr_torch.fitting.lightning_fit import ModelFit
 from ssmr_torch.fitting.rollout_sensitivities import dynamics_tables
 from ssmr_torch.models.batch_rollout import BatchRollout, batch_of
 from ssmr_torch.models.integrators import DIVERGENCE_FACTOR

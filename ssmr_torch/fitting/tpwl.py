@@ -12,10 +12,10 @@ import torch
 from tqdm import tqdm
 
 from ssmr_torch.data.windows import Segment
+from ssmr_torch.fitting.closed_form_fit import ExactSolve
 from ssmr_torch.fitting.dimension import captured_variance
-from ssmr_torch.fitting.exact import ExactSolve
-from ssmr_torch.fitting.fit import ModelFit
-from ssmr_torch.fitting.replay import Replay, linearized_step, replayed
+from ssmr_torch.fitting.lightning_fit import ModelFit
+from ssmr_torch.fitting.tpwl_replay import Replay, linearized_step, replayed
 from ssmr_torch.keywords import configurable
 from ssmr_torch.models.torch_model import fill
 from ssmr_torch.models.tpwl import TPWL

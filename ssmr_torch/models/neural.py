@@ -23,7 +23,7 @@ class NeuralModel(Model):
     substeps: Runge-Kutta steps within a timestep.
     """
 
-    c_source: ClassVar[str] = "ssmr_torch.deployment.c_neural:neural"
+    c_source: ClassVar[str] = "ssmr_torch.deployment.c.neural:neural"
 
     chart: Array
     parametrization: Array

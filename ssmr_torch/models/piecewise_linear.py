@@ -31,7 +31,7 @@ class PiecewiseLinearModel(Model):
     base_timestep: s, of one map. Raises ValueError where timestep or window_timestep is no whole multiple of it.
     """
 
-    c_source: ClassVar[str] = "ssmr_torch.deployment.c_tpwl:tpwl"
+    c_source: ClassVar[str] = "ssmr_torch.deployment.c.tpwl:tpwl"
 
     points: Array
     A: Array

@@ -32,8 +32,8 @@ class PolynomialModel(Model):
     Raises ValueError for tables that do not fit the structure, or a timestep that is no whole multiple.
     """
 
-    c_source: ClassVar[str] = "ssmr_torch.deployment.c_polynomial:polynomial"
-    compiled: ClassVar[str] = "ssmr_torch.control.kernel:compiled_polynomial"
+    c_source: ClassVar[str] = "ssmr_torch.deployment.c.polynomial:polynomial"
+    compiled: ClassVar[str] = "ssmr_torch.control.horizon_kernel:compiled_polynomial"
     batched: ClassVar[str] = "ssmr_torch.models.batch_kernel:CompiledBatch"
 
     structure: Structure

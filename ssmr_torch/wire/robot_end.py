@@ -85,7 +85,7 @@ class RobotEnd:
             if self.real_time and self.clock() >= tick:
                 self.plant.step(self.safe_input)
                 tick = max(tick + self.card.timestep, self.clock())
-        raise TimeoutError(f"no controller answered within {wait:g} s; start ssmr serve, or "
+        raise TimeoutError(f"no controller answered within {wait:g} s; start ssmr serve-controller, or "
                            "ssmr control with plant=remote, and check the address")
 
     def _run_through(self) -> None:

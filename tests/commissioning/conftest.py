@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ssmr_torch.collection.collect import ControlledRun, collect
+from ssmr_torch.collection.excitation import Dithered, SmoothRandom
 from ssmr_torch.commissioning.card import BenchCard
 from ssmr_torch.commissioning.commission import commission
 from ssmr_torch.control.base import Command
-from ssmr_torch.data.collection import ControlledRun, collect
-from ssmr_torch.data.excitation import Dithered, SmoothRandom
 
 sys.path.append(str(Path(__file__).parent))
 

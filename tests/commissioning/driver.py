@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ssmr_torch.collection.collect import ControlledRun, collect
+from ssmr_torch.collection.excitation import Dithered, SmoothRandom
 from ssmr_torch.commissioning.card import BenchCard
 from ssmr_torch.commissioning.commission import commission
 from ssmr_torch.control.base import Command
-from ssmr_torch.data.collection import ControlledRun, collect
-from ssmr_torch.data.excitation import Dithered, SmoothRandom
 from ssmr_torch.plants.remote import RemotePlant
 
 RUNS = (ControlledRun("smooth-train", Dithered(SmoothRandom(share=0.5)), 6.0, repeats=3),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ssmr_torch.closed_loop import ClosedLoopRecord
+from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.commissioning.commission import STEPS
 from ssmr_torch.trajectory import TrajectoryDataset
 
@@ -20,7 +20,7 @@ PORT = 5617
 @pytest.mark.slow
 def test_the_emulated_bench_is_commissioned_over_the_wire_and_a_killed_driver_goes_on(tmp_path):
     bench = tmp_path / "bench"
-    robot = subprocess.Popen([SSMR, "serve-plant", "plant=diamond_coarse", "rig=hardware", "rig.dropped=missing",
+    robot = subprocess.Popen([SSMR, "serve-plant", "plant=diamond_coarse", "rig=emulated_bench", "rig.dropped=missing",
                               "rig.outputs=[tip_x,tip_y,tip_z]", f"connect=tcp://127.0.0.1:{PORT}", "wait=120",
                               "hydra.run.dir=robot"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     command = [sys.executable, DRIVER, f"tcp://127.0.0.1:{PORT}", bench]

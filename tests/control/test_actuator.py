@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ssmr_torch.control.actuator import Actuator, ActuatorState, lag_matrix, lagged
-from ssmr_torch.plants.rig import Rig
+from ssmr_torch.plants.emulated_rig import Rig
 
 RANGE, H = (0.6, 0.6, 0.6, 0.6), 0.01
 WHOLE = Actuator(H, RANGE, delay=3, lag=0.02, play=0.04, friction=0.1, rate=6.0, gain=(1.0, 0.9, 1.1, 1.2),

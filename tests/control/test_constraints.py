@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from ssmr_torch.closed_loop import ClosedLoopRecord, simulate
+from ssmr_torch.closed_loop.record import ClosedLoopRecord
+from ssmr_torch.closed_loop.simulation import simulate
 from ssmr_torch.control.constraints import OutputConstraints, path_weights
 from ssmr_torch.control.horizon import horizon_for
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.control.problem import TrackingProblem
 from ssmr_torch.control.scp import solve_scp
 from ssmr_torch.control.solvers import solver_named
+from ssmr_torch.control.tracking_problem import TrackingProblem
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.status import Status
 from ssmr_torch.tasks.obstacles import Circle, HalfPlane, drifting, random_circles

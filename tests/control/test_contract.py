@@ -6,11 +6,11 @@ from functools import partial
 import numpy as np
 import pytest
 
-from ssmr_torch.closed_loop import simulate
+from ssmr_torch.closed_loop.simulation import simulate
 from ssmr_torch.control.base import Command, Controller
-from ssmr_torch.control.lqr import StaticPregainController
+from ssmr_torch.control.kalman_observers import KalmanObserver
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.control.observers import KalmanObserver
+from ssmr_torch.control.static_pregain import StaticPregainController
 from ssmr_torch.models.named_structures import koopman
 from ssmr_torch.models.output_coordinates import ConstantCurvature
 from ssmr_torch.tasks.obstacles import Circle

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import ssmr_torch as ssmr
-from ssmr_torch import artifact, tasks
+from ssmr_torch import tasks
 from ssmr_torch.control.designed import DesignedController
-from ssmr_torch.control.observers import KalmanObserver
+from ssmr_torch.control.kalman_observers import KalmanObserver
+from ssmr_torch.deployment import artifact
 from ssmr_torch.deployment.deploy import deploy
 from ssmr_torch.targets import build, written
 

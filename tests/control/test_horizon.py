@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ssmr_torch.control.horizon import CompiledHorizon, LinearHorizon, LinearizedHorizon, horizon_for
-from ssmr_torch.control.problem import TrackingProblem
+from ssmr_torch.control.tracking_problem import TrackingProblem
 from ssmr_torch.models.monomials import count_monomials, graded
 from ssmr_torch.models.named_structures import control_augmented, control_augmented_structure, koopman
 from ssmr_torch.models.output_coordinates import ConstantCurvature, Identity, Mixture

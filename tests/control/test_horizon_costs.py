@@ -5,9 +5,9 @@ import pytest
 
 from ssmr_torch.control.actuator import Actuator, lagged
 from ssmr_torch.control.horizon import CompiledHorizon, LinearHorizon, LinearizedHorizon, horizon_for
-from ssmr_torch.control.problem import TrackingProblem
 from ssmr_torch.control.scp import solve_scp
 from ssmr_torch.control.solvers.proxqp import ProxQP
+from ssmr_torch.control.tracking_problem import TrackingProblem
 from ssmr_torch.status import Status
 
 N = 6

@@ -8,9 +8,9 @@ import pytest
 
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.disturbance_observer import DisturbanceObserver
-from ssmr_torch.control.lqr import StaticPregainController
-from ssmr_torch.control.observers import KalmanObserver
-from ssmr_torch.control.settings import PredictiveControlSettings
+from ssmr_torch.control.kalman_observers import KalmanObserver
+from ssmr_torch.control.mpc_settings import PredictiveControlSettings
+from ssmr_torch.control.static_pregain import StaticPregainController
 from ssmr_torch.models.named_structures import koopman
 from ssmr_torch.tasks.references import figure_eight
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssmr_torch.closed_loop import simulate
-from ssmr_torch.control.any_qp import QPSolvers
-from ssmr_torch.control.qp import QPSolution
+from ssmr_torch.closed_loop.simulation import simulate
+from ssmr_torch.control.quadratic_program import QPSolution
 from ssmr_torch.control.solvers.proxqp import ProxQP
+from ssmr_torch.control.solvers_of_qpsolvers import QPSolvers
 from ssmr_torch.models.named_structures import koopman, ssm_structure
 from ssmr_torch.models.torch_model import FixedModel
 from ssmr_torch.status import Status

@@ -5,10 +5,10 @@ import pytest
 from scipy.optimize import minimize
 
 from ssmr_torch.control.horizon import horizon_for
-from ssmr_torch.control.problem import TrackingProblem
-from ssmr_torch.control.qp import QPSolution
+from ssmr_torch.control.quadratic_program import QPSolution
 from ssmr_torch.control.scp import solve_scp
 from ssmr_torch.control.solvers.proxqp import ProxQP
+from ssmr_torch.control.tracking_problem import TrackingProblem
 from ssmr_torch.status import Status
 
 N = 6

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.control.qp import QuadraticProgram
+from ssmr_torch.control.quadratic_program import QuadraticProgram
 from ssmr_torch.control.solvers import solver_named, solver_names
 from ssmr_torch.tasks.references import figure_eight
 
@@ -15,7 +15,7 @@ FOREIGN = '''
 
 import numpy as np
 
-from ssmr_torch.control.qp import QPSolution
+from ssmr_torch.control.quadratic_program import QPSolution
 from ssmr_torch.status import Status
 
 

@@ -12,9 +12,9 @@ from time import thread_time
 import numpy as np
 import pytest
 
-from ssmr_torch.control.estimation import ChartEstimator
-from ssmr_torch.control.observers import KalmanObserver
-from ssmr_torch.control.qp import QuadraticProgram
+from ssmr_torch.control.chart_estimator import ChartEstimator
+from ssmr_torch.control.kalman_observers import KalmanObserver
+from ssmr_torch.control.quadratic_program import QuadraticProgram
 from ssmr_torch.control.solvers import solver_named
 from ssmr_torch.status import Status
 from ssmr_torch.tasks.obstacles import Circle, drifting

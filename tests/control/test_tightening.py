@@ -6,10 +6,10 @@ from functools import partial
 import numpy as np
 import pytest
 
-from ssmr_torch.closed_loop import simulate
+from ssmr_torch.closed_loop.simulation import simulate
 from ssmr_torch.control.actuator import Actuator
+from ssmr_torch.control.kalman_observers import KalmanObserver
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.control.observers import KalmanObserver
 from ssmr_torch.control.tightening import prediction_margins, tightened
 from ssmr_torch.tasks.obstacles import Circle
 from ssmr_torch.tasks.references import figure_eight

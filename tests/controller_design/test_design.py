@@ -9,7 +9,7 @@ from conftest import DELAY, LAG, OF_SENSOR
 from oscillators import MIXED, PULL, SIGNED, H, Oscillators, recordings
 
 import ssmr_torch as ssmr
-from ssmr_torch.closed_loop import simulate
+from ssmr_torch.closed_loop.simulation import simulate
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.trajectory import Trajectory

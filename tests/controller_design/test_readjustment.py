@@ -8,7 +8,7 @@ from conftest import DELAY, LAG, OF_SENSOR
 from oscillators import H, Oscillators
 
 import ssmr_torch as ssmr
-from ssmr_torch.closed_loop import simulate
+from ssmr_torch.closed_loop.simulation import simulate
 from ssmr_torch.controller_design.readjustment import readjustment
 
 FAST = ssmr.tasks.figure_eight(0.006, 3.0, laps=5.5, tracked=("x", "y"))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from ssmr_torch.data.data_settings import DataSettings
 from ssmr_torch.data.datamodule import TrajectoryDataModule
-from ssmr_torch.data.settings import DataSettings
 from ssmr_torch.data.windows import RolloutBatch, Segment
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from ssmr_torch import artifact
-from ssmr_torch.deployment.c_library import CLibrary, compile_library, compiler
-from ssmr_torch.deployment.c_source import write_c
+from ssmr_torch.deployment import artifact
+from ssmr_torch.deployment.c.compiled_library import CLibrary, compile_library, compiler
+from ssmr_torch.deployment.c.model_source import write_c
 from ssmr_torch.models.arrays import Array, identity, namespace
 from ssmr_torch.models.base import Model, OutputLinearization, around
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR

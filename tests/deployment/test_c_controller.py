@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import ssmr_torch as ssmr
-from ssmr_torch import artifact
 from ssmr_torch.control.actuator import ActuatorState
-from ssmr_torch.control.observers import KalmanObserver
-from ssmr_torch.deployment.c_controller import write_controller
-from ssmr_torch.deployment.c_controller_library import CompiledController, differences
-from ssmr_torch.deployment.c_library import FLAGS, compile_library, compiler
+from ssmr_torch.control.kalman_observers import KalmanObserver
+from ssmr_torch.deployment import artifact
+from ssmr_torch.deployment.c.compiled_library import FLAGS, compile_library, compiler
+from ssmr_torch.deployment.c.controller import write_controller
+from ssmr_torch.deployment.c.controller_library import CompiledController, differences
 from ssmr_torch.deployment.deploy import deploy
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler is at hand")

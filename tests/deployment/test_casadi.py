@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ssmr_torch import artifact
-from ssmr_torch.deployment.reference import check, expected
+from ssmr_torch.deployment import artifact
+from ssmr_torch.deployment.reference_batch import check, expected
 
 casadi = pytest.importorskip("casadi", reason="casadi is not installed: pip install 'ssmr_torch[casadi]'")
 from ssmr_torch.deployment import casadi_program  # noqa: E402

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from ssmr_torch import artifact
-from ssmr_torch.deployment import torch_program
-from ssmr_torch.deployment.reference import check, expected
+from ssmr_torch.deployment import artifact, torch_program
+from ssmr_torch.deployment.reference_batch import check, expected
 from ssmr_torch.models import kalman
 
 NAMES = ("encode", "decode", "step", "step_jacobians")

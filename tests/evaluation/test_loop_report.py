@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from ssmr_torch.closed_loop import ClosedLoopRecord, simulate
+from ssmr_torch.closed_loop.record import ClosedLoopRecord
+from ssmr_torch.closed_loop.simulation import simulate
 from ssmr_torch.evaluation.loop_report import bound_margins, natural_frequency, reference_frequency
 
 

@@ -20,13 +20,14 @@ from robot_of_mine.tanh_units import TanhUnits
 from robot_of_mine.text_logs import text_logs
 
 import ssmr_torch as ssmr
-from ssmr_torch import configuration, runner
+from ssmr_torch import configuration
+from ssmr_torch.collection.collect import ControlledRun, collect
+from ssmr_torch.collection.excitation import SmoothRandom
 from ssmr_torch.control.horizon import CompiledHorizon, LinearizedHorizon
-from ssmr_torch.control.qp import QuadraticProgram
+from ssmr_torch.control.quadratic_program import QuadraticProgram
 from ssmr_torch.control.solvers import solver_named
-from ssmr_torch.data.collection import ControlledRun, collect
-from ssmr_torch.data.excitation import SmoothRandom
 from ssmr_torch.fitting.checkpoints import load_model
+from ssmr_torch.wire import runner
 
 PACKAGE = Path(__file__).resolve().parent / "robot_of_mine"
 SSMR = Path(sys.executable).with_name("ssmr")
@@ -173,7 +174,7 @@ def test_it_controls_through_its_linearization(other):
 WITHOUT_TORCH = """
 import sys
 sys.modules.update(dict.fromkeys(("torch", "lightning", "hydra", "omegaconf", "scipy")))
-from ssmr_torch import artifact
+from ssmr_torch.deployment import artifact
 model = artifact.load(sys.argv[1]).model
 print(type(model).__module__, model.state_dim)
 """
@@ -278,7 +279,7 @@ def test_the_whole_line_works_by_config_dir_alone(line):
         assert metrics["fallbacks"] == 0 and metrics["rmse"] < 2e-3
     composed = OmegaConf.load(line.at / "integral" / ".hydra" / "config.yaml")
     assert composed.controller.reach == 0.01 and composed.plant.stiffness == 15.0  # the defaults of the classes
-    line("serve", *shared[:1], "task=spiral", "controller=integral", "runs=0", directory="serve")
+    line("serve_controller", *shared[:1], "task=spiral", "controller=integral", "runs=0", directory="serve")
     assert json.loads((line.at / "serve" / "settings.json").read_text())["task"]["turns"] == 2.0
 
 

@@ -10,11 +10,11 @@ from ssmr_torch.data.windows import Segment, delay_windows
 from ssmr_torch.fitting.dimension import captured_variance, dimension_by_gap, window_singular_values
 from ssmr_torch.fitting.koopman_least_squares import KoopmanLeastSquares
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
-from ssmr_torch.fitting.statistics import StreamedRegression
+from ssmr_torch.fitting.streamed_least_squares import StreamedRegression
 from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.models.monomials import graded
 from ssmr_torch.models.ssmr import SSMR
-from ssmr_torch.published_models import read_ssmr_model
+from ssmr_torch.paper.models import read_ssmr_model
 from ssmr_torch.trajectory import Trajectory
 
 TEST = (4, 14, 20, 31, 37)

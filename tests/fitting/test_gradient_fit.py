@@ -10,8 +10,8 @@ import torch
 
 from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.data.windows import RolloutBatch
-from ssmr_torch.fitting.fit import LeastSquaresFit
 from ssmr_torch.fitting.gradient_fit import GradientFit
+from ssmr_torch.fitting.lightning_fit import LeastSquaresFit
 from ssmr_torch.fitting.neural_ode_start import NeuralODEStart
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.fitting.training import neural_ode_start, train

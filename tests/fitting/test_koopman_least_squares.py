@@ -7,7 +7,7 @@ from sklearn.linear_model import Lasso, Ridge
 from sklearn.preprocessing import PolynomialFeatures
 
 from ssmr_torch.fitting.koopman_least_squares import KoopmanLeastSquares
-from ssmr_torch.fitting.statistics import StreamedRegression
+from ssmr_torch.fitting.streamed_least_squares import StreamedRegression
 from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.trajectory import Trajectory
 

@@ -127,7 +127,7 @@ def test_a_checkpoint_of_a_chosen_model_holds_its_structure(few, data, tmp_path)
 
 
 def test_the_c_code_of_a_chosen_model_computes_the_same(model, data, tmp_path):
-    from ssmr_torch.deployment.c_library import CLibrary, compile_library, compiler
+    from ssmr_torch.deployment.c.compiled_library import CLibrary, compile_library, compiler
 
     if compiler() is None:
         pytest.skip("no C compiler")

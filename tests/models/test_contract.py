@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from ssmr_torch import artifact
+from ssmr_torch.deployment import artifact
 from ssmr_torch.models.batch_rollout import BatchRollout, batch_of
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.integrators import DIVERGENCE_FACTOR

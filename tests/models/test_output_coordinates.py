@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from ssmr_torch import artifact
 from ssmr_torch.control.horizon import LinearizedHorizon, horizon_for
-from ssmr_torch.control.kernel import compiled_polynomial
-from ssmr_torch.control.problem import TrackingProblem
-from ssmr_torch.deployment.c_source import write_c
+from ssmr_torch.control.horizon_kernel import compiled_polynomial
+from ssmr_torch.control.tracking_problem import TrackingProblem
+from ssmr_torch.deployment import artifact
+from ssmr_torch.deployment.c.model_source import write_c
 from ssmr_torch.models.arrays import namespace
 from ssmr_torch.models.monomials import graded
 from ssmr_torch.models.output_coordinates import (

@@ -9,10 +9,10 @@ import pytest
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.plants.cosserat_rod import CosseratRod
 from ssmr_torch.plants.diamond import Diamond
+from ssmr_torch.plants.emulated_rig import Rig
 from ssmr_torch.plants.isupport import ISupport
 from ssmr_torch.plants.planar_hsa import PlanarHSA
 from ssmr_torch.plants.pressure_arm import PressureArm
-from ssmr_torch.plants.rig import Rig
 from ssmr_torch.plants.slow_manifold import SlowManifold
 from ssmr_torch.plants.tendon_chain import TendonChain
 from ssmr_torch.plants.trunk import Trunk

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from ssmr_torch.data.excitation import RandomSteps, SmoothRandom
+from ssmr_torch.collection.excitation import RandomSteps, SmoothRandom
 from ssmr_torch.plants.slow_manifold import SlowManifold
 
 

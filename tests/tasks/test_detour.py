@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssmr_torch.closed_loop import simulate
+from ssmr_torch.closed_loop.simulation import simulate
 from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.tasks.detour import detour
 from ssmr_torch.tasks.obstacles import Circle, drifting, random_circles

@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ssmr_torch.closed_loop import simulate
+from ssmr_torch.closed_loop.simulation import simulate
+from ssmr_torch.closed_loop.wire_record import record_of
 from ssmr_torch.control.base import Command
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.plants.base import Plant
+from ssmr_torch.plants.emulated_rig import Rig
 from ssmr_torch.plants.remote import RemotePlant
-from ssmr_torch.plants.rig import Rig
 from ssmr_torch.wire.controller_end import ControllerEnd
 from ssmr_torch.wire.link import ControllerLink, RobotLink
 from ssmr_torch.wire.messages import Kind, Message, RobotCard, unpack
-from ssmr_torch.wire.record import record_of
 from ssmr_torch.wire.robot_end import RobotEnd
 from ssmr_torch.wire.serving import serve
 

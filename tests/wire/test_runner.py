@@ -10,12 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ssmr_torch import artifact, runner
-from ssmr_torch.closed_loop import ClosedLoopRecord, simulate
+from ssmr_torch.closed_loop.record import ClosedLoopRecord
+from ssmr_torch.closed_loop.simulation import simulate
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.control.settings import PredictiveControlSettings
+from ssmr_torch.control.mpc_settings import PredictiveControlSettings
+from ssmr_torch.deployment import artifact
 from ssmr_torch.plants.slow_manifold import SlowManifold
 from ssmr_torch.tasks.references import figure_eight
+from ssmr_torch.wire import runner
 from ssmr_torch.wire.link import RobotLink
 from ssmr_torch.wire.messages import RobotCard
 from ssmr_torch.wire.robot_end import RobotEnd
@@ -62,7 +64,7 @@ def process(*command, cwd=None):
 
 def without(*modules):
     return [sys.executable, "-c", f"import sys\nfor name in {modules!r}: sys.modules[name] = None\n"
-                                  "from ssmr_torch import runner\nsys.exit(runner.main(sys.argv[1:]))"]
+                                  "from ssmr_torch.wire import runner\nsys.exit(runner.main(sys.argv[1:]))"]
 
 
 def test_the_runner_steers_as_one_process_does_without_torch_scipy_hydra_and_the_rest(shipped, settings):
@@ -202,13 +204,13 @@ def test_the_same_robot_gets_the_controller_that_is_there_already(shipped):
 def test_two_entry_points_give_the_ise_of_one_and_settings_for_the_runner(shipped, tmp_path):
     python = [sys.executable]
     same = [f"artifact={shipped}", "task.laps=1"]
-    with process(*python, EXPERIMENTS / "serve.py", *same, "bind=tcp://127.0.0.1:*", "hydra.run.dir=served",
+    with process(*python, EXPERIMENTS / "serve_controller.py", *same, "bind=tcp://127.0.0.1:*", "hydra.run.dir=served",
                  cwd=tmp_path) as (running, address):
         robot = subprocess.run([*python, EXPERIMENTS / "serve_plant.py", f"connect={address}", "wait=60",
                                 "hydra.run.dir=robot"], cwd=tmp_path, capture_output=True, text=True, timeout=LIMIT)
         said, complained = running.communicate(timeout=LIMIT)
     assert robot.returncode == 0 and running.returncode == 0, robot.stderr + complained
-    with process(*python, EXPERIMENTS / "serve.py", f"artifact={shipped}", "bind=tcp://127.0.0.1:*",
+    with process(*python, EXPERIMENTS / "serve_controller.py", f"artifact={shipped}", "bind=tcp://127.0.0.1:*",
                  "hydra.run.dir=refusing", cwd=tmp_path) as (_, address):
         done = subprocess.run([*python, EXPERIMENTS / "serve_plant.py", f"connect={address}", "wait=60",
                                "plant.observe=state", "hydra.run.dir=refused"], cwd=tmp_path, capture_output=True,

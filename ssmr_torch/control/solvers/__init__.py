@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from pkgutil import iter_modules
 
-from ssmr_torch.control.qp import Workspace
+from ssmr_torch.control.quadratic_program import Workspace
 from ssmr_torch.extras import BROUGHT_BY, require
 
 OTHERS = "qpsolvers:NAME, such as qpsolvers:osqp, or package.module:Class of one's own"
@@ -33,7 +33,7 @@ def solver_named(name: str, dim: int, rows: int, **options):
                       and each is not Workspace)
         return solver(dim, rows, **options)
     if module == "qpsolvers" and chosen:
-        from ssmr_torch.control.any_qp import QPSolvers
+        from ssmr_torch.control.solvers_of_qpsolvers import QPSolvers
 
         return QPSolvers(chosen, **options)
     if module and chosen:

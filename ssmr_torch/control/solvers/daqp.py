@@ -6,7 +6,7 @@ import importlib
 
 import numpy as np
 
-from ssmr_torch.control.qp import QPSolution, QuadraticProgram, Workspace
+from ssmr_torch.control.quadratic_program import QPSolution, QuadraticProgram, Workspace
 from ssmr_torch.status import Status
 
 EXIT_FLAGS = {1: Status.SOLVED, 2: Status.CLOSEST_FEASIBLE, -1: Status.PRIMAL_INFEASIBLE, -3: Status.DUAL_INFEASIBLE,

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from ssmr_torch.control.qp import ROUNDING, QPSolution, QuadraticProgram, Workspace
+from ssmr_torch.control.quadratic_program import ROUNDING, QPSolution, QuadraticProgram, Workspace
 from ssmr_torch.status import Status
 
 INSTRUCTIONS = "proxsuite.instructionset"

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ssmr_torch.control.base import whole_steps
-from ssmr_torch.control.estimation import ChartEstimator
+from ssmr_torch.control.chart_estimator import ChartEstimator
 
 
 class BlendedObserver:

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from ssmr_torch.control.qp import QPSolution, QuadraticProgram, Workspace
+from ssmr_torch.control.quadratic_program import QPSolution, QuadraticProgram, Workspace
 from ssmr_torch.status import Status
 
 

@@ -1,0 +1,146 @@
+"""The record of a run in closed loop, and its file."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ssmr_torch import data_sheet as sheet
+from ssmr_torch.data_sheet import DataSheet
+from ssmr_torch.evaluation.loop_report import LoopReport, loop_report, natural_frequency
+from ssmr_torch.evaluation.metrics import SETTLING_TIME, max_tracking_error, tracking_rmse
+
+ARRAYS = ("time", "reference", "observation", "measurement", "input", "fallback", "solve_time", "iterations",
+          "violation")
+FORMAT = "ssmr_torch closed loop 1"
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoopRecord(DataSheet):
+    """One run in closed loop, T samples.
+
+    time (T,) s; reference (T, q) m in the columns `tracked` of the outputs; observation (T, p) m, where the plant
+    truly was; measurement (T, p) m, what the controller saw of it, NaN where a sample was missing; input (T, m),
+    commanded from time[k] to time[k+1]. fallback (T,) whether the controller fell back; statuses (T,) name of the
+    Status, empty where nothing was decided; solve_time (T,) s of CPU time that the controller took, which other work on
+    the machine does not lengthen, and iterations (T,) programs solved; NaN and 0 where an input was held. violation
+    (T,) m: the largest of the constraints that the plan foresaw, margins included; NaN where nothing was planned under
+    constraints, and everywhere in records that know none.
+    """
+
+    time: np.ndarray
+    reference: np.ndarray
+    observation: np.ndarray
+    measurement: np.ndarray
+    input: np.ndarray
+    fallback: np.ndarray
+    solve_time: np.ndarray
+    iterations: np.ndarray
+    statuses: tuple[str, ...]
+    tracked: tuple[int, ...]
+    output_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    input_unit: str = "N"
+    provenance: dict = field(default_factory=dict)
+    violation: np.ndarray | None = None
+
+    def __post_init__(self):
+        if self.violation is None:
+            object.__setattr__(self, "violation", np.full(len(self.time), np.nan))
+        for name in ("statuses", "tracked", "output_names", "input_names"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        lengths = {name: len(getattr(self, name)) for name in (*ARRAYS, "statuses")}
+        if len(set(lengths.values())) != 1:
+            raise ValueError(f"a record needs equally many samples everywhere; got {lengths}")
+
+    @property
+    def error(self) -> np.ndarray:
+        """Observation minus reference in the tracked columns, (T, q) m."""
+        return self.observation[:, list(self.tracked)] - self.reference
+
+    def data_sheet(self) -> tuple[str, dict]:
+        said, times = self.provenance, self.solve_time[np.isfinite(self.solve_time)]
+        name = f" of {said['task']!r}" if said.get("task") else ""
+        entries = {"tracked": f"{sheet.listed(self.output_names[column] for column in self.tracked)}; {self._errors()}",
+                   "samples": f"{len(self.time)}, {sheet.period(self.time[1] - self.time[0])}"}
+        if "period" in said:
+            entries["control"] = f"{said.get('controller', 'controller')}, {sheet.period(said['period'])}"
+        entries["fallbacks"] = f"{int(self.fallback.sum())} of {len(times)} decisions"
+        entries["inputs"] = sheet.spans(self.input_names, self.input.min(axis=0), self.input.max(axis=0),
+                                        sheet.unit_of(self.input_unit))
+        if "tuned" in said:
+            entries["tuned"] = said["tuned"]
+        if "noise_std" in said:
+            entries["noise"] = f"{sheet.number(1e3 * said['noise_std'])} mm, seed {said['seed']}"
+        return f"ClosedLoopRecord{name}: {sheet.number(self.time[-1] - self.time[0])} s", entries | sheet.origin(said)
+
+    def report(self, obstacles=()) -> LoopReport:
+        """All that is said of the run together, as ssmr control prints it; obstacles: those of the task."""
+        return loop_report(self, obstacles)
+
+    def _errors(self) -> str:
+        if not np.isfinite(self.error).all():
+            return "not finite to the end"
+        settling = SETTLING_TIME if self.time[-1] - self.time[0] > SETTLING_TIME else 0.0
+        measured = self.time, self.observation[:, list(self.tracked)], self.reference
+        rmse, largest = (sheet.number(1e3 * error(*measured, settling_time=settling))
+                         for error in (tracking_rmse, max_tracking_error))
+        return f"RMSE {rmse} mm, at most {largest} mm" + (f" after {settling:g} s" if settling else "")
+
+    def save(self, path: str | Path) -> Path:
+        """Write one HDF5 file; it appears only when it is complete."""
+        import h5py
+
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        aside = path.with_name(path.name + ".part")
+        card = {"format": FORMAT, "length_unit": "m", "time_unit": "s", "input_unit": self.input_unit,
+                "tracked": self.tracked, "output_names": self.output_names, "input_names": self.input_names,
+                "provenance": self.provenance}
+        with h5py.File(aside, "w") as file:
+            file.attrs["card"] = json.dumps(card)
+            for name in ARRAYS:
+                file[name] = getattr(self, name)
+            file.create_dataset("statuses", data=list(self.statuses), dtype=h5py.string_dtype())
+        os.replace(aside, path)
+        return path
+
+    @classmethod
+    def load(cls, path: str | Path) -> ClosedLoopRecord:
+        """Read a file written by `save`. Raises FileNotFoundError, or ValueError for another kind of file."""
+        import h5py
+
+        path = Path(path)
+        if not path.is_file():
+            raise FileNotFoundError(f"no closed-loop record at {path}; make one with ssmr control")
+        with h5py.File(path, "r") as file:
+            card = json.loads(file.attrs.get("card", "{}"))
+            if card.get("format") != FORMAT:
+                raise ValueError(f"{path} is of format {card.get('format')!r}; expected {FORMAT!r}")
+            arrays = {name: file[name][:] for name in ARRAYS if name in file or name != "violation"}
+            statuses = tuple(file["statuses"].asstr()[:])
+        return cls(**arrays, statuses=statuses, tracked=card["tracked"], output_names=card["output_names"],
+                   input_names=card["input_names"], input_unit=card["input_unit"],
+                   provenance=card["provenance"])
+
+
+def told_by(controller) -> dict:
+    """What a controller says of itself and its run, as far as it does: what tuned it, minutes of recordings, reach m,
+    first natural frequency rad/s of its model, and what it counted.
+    """
+    facts, model = getattr(controller, "facts", {}), getattr(controller, "model", None)
+    told = {name: facts[name] for name in ("tuned", "minutes", "reach") if facts.get(name) is not None}
+    if hasattr(model, "rates"):
+        told["natural_frequency"] = natural_frequency(model.rates)
+    if hasattr(controller, "counts"):
+        told["counts"] = {str(name): int(count) for name, count in controller.counts.items() if count}
+    return told
+
+
+def planned_violations(commands) -> np.ndarray:
+    """(T,) m, see `ClosedLoopRecord`."""
+    return np.array([getattr(command.plan, "violation", np.nan) for command in commands])

@@ -1,0 +1,47 @@
+"""The record of a run over the wire."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ssmr_torch import __version__
+from ssmr_torch.closed_loop.record import ClosedLoopRecord, planned_violations, told_by
+from ssmr_torch.wire.controller_end import ControllerEnd, code_of
+from ssmr_torch.wire.messages import Code
+
+
+def record_of(end: ControllerEnd, task, provenance: dict | None = None) -> ClosedLoopRecord:
+    """What the controller saw and did in the run that its end has the samples of.
+
+    Nobody here knows where the robot truly was: the observation is the measurement, linear in between where one was
+    missing. Raises ValueError for a run of which no measurement came.
+    """
+    samples, card = end.samples, end.card
+    time = np.array([sample.time for sample in samples])
+    measurement = np.array([sample.observation for sample in samples]).reshape(len(samples), -1)
+    seen = np.isfinite(measurement).all(axis=1)
+    if not seen.any():
+        raise ValueError("no measurement came in this run; there is nothing to record")
+    observation = np.stack([np.interp(time, time[seen], column) for column in measurement[seen].T], axis=1)
+    commands = [sample.command for sample in samples]
+    codes = [code_of(command) for command in commands]
+    settings = {"task": task.name, "plant": card.name, "controller": type(end.controller).__name__,
+                "period": end.controller.period, "timestep": card.timestep, "seed": end.seed, "version": __version__,
+                "wire": dict(end.counts), "real_time": card.real_time, "input_bounds": card.input_bounds.tolist()}
+    settings |= told_by(end.controller)
+    return ClosedLoopRecord(
+        time=time, reference=task.reference(time), observation=observation, measurement=measurement,
+        input=np.stack([command.input for command in commands]),
+        fallback=np.array([command.fallback is not None for command in commands]),
+        solve_time=np.where([command.held for command in commands], np.nan, [sample.solve_time for sample in samples]),
+        iterations=np.array([0 if command.plan is None else command.plan.iterations for command in commands]),
+        statuses=tuple(_status(command, code) for command, code in zip(commands, codes)),
+        tracked=task.columns(card.output_names), output_names=card.output_names, input_names=card.input_names,
+        input_unit=card.input_unit, provenance=settings | (provenance or {}),
+        violation=planned_violations(commands))
+
+
+def _status(command, code: Code) -> str:
+    if command.fallback is not None:
+        return command.fallback.name
+    return "" if command.plan is None or code is Code.HELD else command.plan.status.name

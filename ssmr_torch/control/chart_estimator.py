@@ -1,0 +1,92 @@
+"""From measurements to the reduced state: the chart, applied to the window of the last samples."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from ssmr_torch.control.checked_measurement import RecordedRange
+
+# Samples before the window that are kept to bridge gaps in it.
+BEFORE = 6
+
+
+class Estimator(Protocol):
+    """Called once for each sample, in order; one that was skipped comes as a missing one.
+
+    It may have `forget()`, as `reset` but for counts, and `counts`, a Counter of what happened by name.
+    """
+
+    def reset(self) -> None:
+        """Forget all measurements."""
+
+    def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
+        """observation (p,) m, not finite where a value is missing; last_input (m,): held since the one before."""
+
+    def state(self) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+        """z (n,), not finite where it is not known; offsets of the input (m,) and of the output (p,), m, or None."""
+
+
+class ChartEstimator:
+    """z = v(window): the reduced state is what the chart makes of the newest n_d + 1 samples.
+
+    model: with `encode`, `decode`, `state_scale`, `delays`, `input_dim`, `output_dim`. stride: measurements from one
+    sample of the window to the next. Before the first measurement the robot is taken to have rested where it is. Values
+    that are missing, or beyond the recorded range, are replaced in the window as soon as one that is neither comes:
+    by the parabola through it, the last good one, and the one as long before that; by a straight line where so much is
+    not kept; and by the new value where the gap is longer than the window.
+    """
+
+    def __init__(self, model, stride: int):
+        self.model, self.stride = model, int(stride)
+        length = model.delays * self.stride
+        self._observations = np.empty((length + 1 + (BEFORE if length else 0), model.output_dim))
+        self._first = len(self._observations) - length - 1
+        self._inputs = np.empty((length, model.input_dim))
+        self._range = RecordedRange(model)
+        self.reset()
+
+    def reset(self) -> None:
+        self._begun = False
+        self._gaps: np.ndarray | None = None  # (p,) rows since the last good value of each output; None: all zero
+
+    def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
+        """The newest sample enters the window, the oldest leaves it."""
+        good = self._range.holds(observation)
+        if not self._begun:
+            self._observations[:], self._inputs[:] = observation, last_input
+            self._begun = True
+            self._gaps = None if good.all() else np.where(good, 0, len(self._observations))
+            return
+        self._observations[:-1] = self._observations[1:]
+        self._observations[-1] = observation
+        if len(self._inputs):
+            self._inputs[:-1] = self._inputs[1:]
+            self._inputs[-1] = last_input
+        if self._gaps is not None or not good.all():
+            self._mend(good)
+
+    def _mend(self, good: np.ndarray) -> None:
+        """Fill the gaps that end with the newest sample, and count on those that do not."""
+        gaps = np.zeros(len(good), dtype=int) if self._gaps is None else self._gaps
+        for output in np.flatnonzero(good & (gaps > 0)):
+            rows, gap = self._observations[:, output], gaps[output]
+            if gap + 2 > len(rows):
+                rows[:] = rows[-1]
+                continue
+            s, last = np.arange(1, gap + 1) / (gap + 1), rows[-2 - gap]
+            rows[-1 - gap:-1] = last + s * (rows[-1] - last)
+            if 2 * gap + 3 <= len(rows):
+                rows[-1 - gap:-1] -= 0.5 * s * (1.0 - s) * (rows[-1] - 2.0 * last + rows[-3 - 2 * gap])
+        gaps = np.where(good, 0, np.minimum(gaps + 1, len(self._observations)))
+        self._gaps = gaps if gaps.any() else None
+
+    def window(self) -> tuple[np.ndarray, np.ndarray]:
+        """Views of the delay window (n_d + 1, p), oldest first, and of the inputs (n_d, m) set at all samples but the
+        newest.
+        """
+        return self._observations[self._first::self.stride], self._inputs[::self.stride]
+
+    def state(self) -> tuple[np.ndarray, None, None]:
+        return self.model.encode(*self.window()), None, None  # which is not finite where the window is not

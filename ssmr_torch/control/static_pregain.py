@@ -1,0 +1,168 @@
+"""Koopman static pregain: feedforward from set points, feedback by the linear-quadratic regulator."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from math import isfinite
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from ssmr_torch.control.base import Command, admissible_input, changed_bounds, whole_steps
+from ssmr_torch.control.chart_estimator import ChartEstimator
+from ssmr_torch.control.mpc_settings import PredictiveControlSettings as Predictive
+from ssmr_torch.control.sampling import Sampling
+from ssmr_torch.keywords import configurable
+from ssmr_torch.models.polynomial import PregainModel
+from ssmr_torch.settings import positive_or_none
+from ssmr_torch.status import Status
+
+# of the states that no output shows; it keeps the Riccati equation solvable
+STATE_WEIGHT = 1e-6
+
+
+class StaticPregainController:
+    """u = G [1, ŷ] − K (z − ẑ), clipped to the bounds (paper, "Koopman static pregain"; Haggerty et al. 2023).
+
+    G: the model's pregain, u = G [1, y] at rest; cables pull only, so its constant is what they pull in common. ŷ:
+    reference now, ẑ: chart of the reference's own window. Outputs that the task does not prescribe take in both the
+    values that set points with the prescribed ones have on average; measured ones would feed G back into itself.
+    K: gain of the linear-quadratic regulator for Σ ‖y‖²_Q + ‖u / range‖²_R of the model at the control period: the
+    stationary one, or with `horizon` N the first of the finite-horizon recursion over N steps; a constant among the
+    states, which is the same in z and ẑ, is left out of it.
+
+    model: a `PregainModel` without bilinear terms and of degree one, such as that of a `StaticPregainKoopman`. task,
+    input_bounds, timestep, period, output_weight (1/m²), input_weight (without unit, of inputs in units of the range of
+    these bounds), safe_input: as in `ModelPredictiveController`.
+    A measurement that is not finite, or that leads to an input that is not, gives safe_input; `fallbacks` counts it.
+    Time and measurements are treated and counted, in `counts`, as in `ModelPredictiveController`; `input_bounds` can be
+    changed between steps.
+    Raises ValueError for another model, a period that is no multiple of the timestep, crossed bounds, or a weight that
+    is not positive.
+    """
+
+    @configurable(given=("timestep", "output_names"))
+    def __init__(self, model, task, input_bounds, *, timestep: float | None = None, output_names=None,
+                 period: float = Predictive.period, output_weight: float = Predictive.output_weight,
+                 input_weight: float | Sequence[float] = Predictive.input_weight, horizon: int | None = None,
+                 safe_input=None):
+        model = model.reduced.numpy()
+        if not isinstance(model, PregainModel) or not model.affine or model.structure.chart.highest > 1:
+            raise ValueError("this controller takes a linear Koopman model with a pregain; train one with "
+                             "model=koopman_lqr on data with static runs")
+        self.timestep = float(model.window_timestep if timestep is None else timestep)
+        self.period = float(period)
+        every = whole_steps("period", period, self.timestep)
+        stride = whole_steps("the model's window_timestep", model.window_timestep, self.timestep)
+        self.estimator = ChartEstimator(model, stride)
+        self._sampling = Sampling(model, self.timestep, every, max(every, model.delays * stride))
+        self.bounds = np.array(input_bounds, dtype=np.float64)
+        self.model, self.task, self.columns = model, task, list(task.columns(output_names))
+        self.completion = completion(model.set_points, self.columns)
+        weight = np.zeros(model.output_dim)
+        weight[self.columns] = output_weight
+        A, B, _ = model.at_timestep(period).linearize(np.zeros(model.state_dim), np.zeros(model.input_dim))
+        varying = ~model.constant_states
+        C = model.linearize_output(np.zeros(model.state_dim)).C[:, varying]
+        self.gain = np.zeros((model.input_dim, model.state_dim))
+        self.gain[:, varying] = regulator_gain(A[varying][:, varying], B[varying], C.T @ (weight[:, None] * C),
+                                               self._input_cost(input_weight), horizon)
+        self.safe_input = self._safe = admissible_input("safe_input", safe_input, self.bounds)
+        self.reset()
+
+    def _input_cost(self, weight: float | Sequence[float]) -> np.ndarray:
+        """R of inputs in their own unit, (m, m)."""
+        lower, upper = self.bounds
+        if not (np.isfinite(self.bounds).all() and (lower < upper).all()):
+            raise ValueError(f"input_bounds are {self.bounds.tolist()}; expected finite numbers, lowest below highest")
+        return np.diag(np.broadcast_to(positive_or_none("input_weight", weight), lower.shape) / (upper - lower)**2)
+
+    @property
+    def counts(self) -> Counter[str]:
+        """How often what happened to time and measurements since the last reset, by name."""
+        return +self._sampling.counts
+
+    @property
+    def input_bounds(self) -> np.ndarray:
+        """(2, m), of the commands from now on; as in `ModelPredictiveController`."""
+        return self.bounds.copy()
+
+    @input_bounds.setter
+    def input_bounds(self, bounds) -> None:
+        self.bounds = changed_bounds(bounds, self.bounds.shape)
+        self.safe_input, self._last_input = (np.clip(u, *self.bounds) for u in (self._safe, self._last_input))
+
+    def reset(self) -> None:
+        """Forget measurements and counts."""
+        self.estimator.reset()
+        self._sampling.reset()
+        self._last_input = self.safe_input
+        self.fallbacks: Counter[Status] = Counter()
+
+    def __call__(self, time: float, observation: np.ndarray) -> Command:
+        """time in s; observation (p,), m, whatever its values. Raises ValueError for one of another size."""
+        sample = self._sampling.take(time, observation)
+        if not sample.new:
+            self.fallbacks[Status.WRONG_TIME] += 1
+            return Command(self._last_input.copy(), fallback=Status.WRONG_TIME)
+        if sample.anew:
+            self.estimator.reset()
+        for _ in range(sample.missed):
+            self.estimator.measure(np.full_like(sample.observation, np.nan), self._last_input)
+        self.estimator.measure(sample.observation, self._last_input)
+        command = self._decide(sample.time) if sample.due else Command(self._last_input.copy(), held=True)
+        self._last_input = command.input.copy()
+        return command
+
+    def completed(self, reference: np.ndarray) -> np.ndarray:
+        """All outputs (..., p) that go with the prescribed ones (..., t)."""
+        return np.concatenate([np.ones_like(reference[..., :1]), reference], axis=-1) @ self.completion
+
+    def _decide(self, time: float) -> Command:
+        if not isfinite(time):
+            return self._fall_back()
+        model = self.model
+        window, held = self.estimator.window()
+        ages = model.window_timestep * np.arange(model.delays, -1, -1)
+        wanted = self.completed(self.task.reference(np.maximum(time - ages, 0.0)))
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = model.encode(window, held) - model.encode(wanted, held)
+            intended = model.pregain @ np.r_[1.0, wanted[-1]] - self.gain @ error
+        if not np.isfinite(intended).all():
+            return self._fall_back()
+        return Command(np.clip(intended, *self.bounds))
+
+    def _fall_back(self) -> Command:
+        self.fallbacks[Status.NOT_FINITE] += 1
+        return Command(self.safe_input.copy(), fallback=Status.NOT_FINITE)
+
+
+def completion(set_points: np.ndarray, columns: list[int]) -> np.ndarray:
+    """(1 + t, p): [1, the t prescribed outputs] @ completion = all outputs, the others by linear regression over set
+    points of which `set_points` (1 + p, 1 + p) is the factor of [1, y].
+    """
+    given = [0, *(1 + column for column in columns)]
+    table = np.linalg.lstsq(set_points[:, given], set_points[:, 1:], rcond=None)[0]
+    table[:, columns] = np.eye(len(given))[:, 1:]
+    return table
+
+
+def regulator_gain(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray,
+                   horizon: int | None = None) -> np.ndarray:
+    """K (m, n) of u = −K z, least Σ zᵀ Q z + uᵀ R u for z⁺ = A z + B u; over `horizon` steps, or without end.
+
+    Q gains a small multiple of the identity, so that states which no output shows do not make it singular.
+    Raises ValueError for a horizon below 1.
+    """
+    if horizon is not None and horizon < 1:
+        raise ValueError(f"horizon is {horizon}; expected 1 or more steps, or None for the stationary gain")
+    Q = Q + STATE_WEIGHT * max(np.abs(Q).max(), 1.0) * np.eye(len(A))
+    if horizon is None:
+        P = solve_discrete_are(A, B, Q, R)
+        return np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+    P = Q
+    for _ in range(horizon):
+        K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+        P = Q + A.T @ P @ (A - B @ K)
+    return K

@@ -1,0 +1,40 @@
+"""The model of a checkpoint beside it, as FILE.safetensors, for who has no Torch."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+from ssmr_torch.deployment.artifact import load_tables, save_tables
+from ssmr_torch.models.base import Model
+
+
+def save_twin(checkpoint: str | Path, model: Model, card: dict) -> Path:
+    """Write the model and its card beside the checkpoint, whose hash is noted; see `load_twin`."""
+    path = _twin(checkpoint)
+    aside = path.with_name(f"{path.name}.{os.getpid()}.part")
+    save_tables(aside, model, card=card, checkpoint=_sha256(checkpoint))
+    os.replace(aside, path)
+    return path
+
+
+def load_twin(checkpoint: str | Path) -> tuple[Model, dict] | None:
+    """The model that lies beside a checkpoint, and its card; None where there is none, or the checkpoint is another."""
+    path = _twin(checkpoint)
+    if not (path.is_file() and Path(checkpoint).is_file()):
+        return None
+    try:
+        model, noted = load_tables(path)
+        return (model, noted["card"]) if noted["checkpoint"] == _sha256(checkpoint) else None
+    except (ValueError, KeyError):
+        return None
+
+
+def _twin(checkpoint: str | Path) -> Path:
+    return Path(checkpoint).with_suffix(".safetensors")
+
+
+def _sha256(path: str | Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

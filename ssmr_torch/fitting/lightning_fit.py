@@ -1,0 +1,162 @@
+"""Training through Lightning: one score for every model, closed-form fits as stages, gradient fits on rollouts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import lightning
+import torch
+from torch import Tensor, distributed
+from torch.utils.data import DistributedSampler
+
+from ssmr_torch.data.starts import ScoredRuns
+from ssmr_torch.data.windows import Segment, delay_windows
+from ssmr_torch.fitting.closed_form_fit import ExactSolve
+from ssmr_torch.fitting.scores import diverged_under_stress, scores
+from ssmr_torch.fitting.ssmr_least_squares import LeastSquaresModel
+from ssmr_torch.fitting.streamed_least_squares import PENALTIES, ridge_candidates
+from ssmr_torch.models.torch_model import TorchModel
+
+
+def description(model: TorchModel) -> dict:
+    """Class path and constructor arguments, plain values that rebuild the model."""
+    kind = type(model)
+    return {"class": f"{kind.__module__}.{kind.__qualname__}", "arguments": model.arguments}
+
+
+class ModelFit(lightning.LightningModule):
+    """Holds a model while it is fitted; the validation and test scores are the same for every model.
+
+    card: plain values that travel with the checkpoint (names, units, rest, bounds of the data).
+    validation/…, test/…: see `scores`. overdrive, overspeed: where one is not 1, the validation rollouts are repeated
+    with inputs `overdrive` times as strong, and with these played `overspeed` times as fast; the larger share that
+    diverges is validation/overdriven, and validation/relative is infinite where any does. What was measured says
+    nothing of what lies beyond it, but that a robot stays finite there is known.
+    selects: whether the fit keeps its best epoch by its `monitor`, a score of the validation, and is undone where none
+    is better than its start; otherwise its last epoch is kept.
+    """
+
+    selects, monitor = False, "validation/rmse"
+    overdrive, overspeed = 1.0, 1
+
+    def __init__(self, model: TorchModel):
+        super().__init__()
+        self.model = model
+        self.card: dict = {}
+
+    def on_fit_start(self) -> None:
+        self.double()
+
+    def on_save_checkpoint(self, checkpoint: dict) -> None:
+        checkpoint["model"] = description(self.model)
+        checkpoint["card"] = self.card
+
+    def validation_step(self, scored: ScoredRuns, index: int) -> None:
+        values = scores(self.model, scored)
+        if (self.overdrive, self.overspeed) != (1.0, 1):
+            values["overdriven"] = max(diverged_under_stress(self.model, scored, self.overdrive, speed)
+                                       for speed in {1, self.overspeed})
+            values["relative"] = float("inf") if values["overdriven"] else values["relative"]
+        self._log(values, "validation")
+
+    def test_step(self, scored: ScoredRuns, index: int) -> None:
+        self._log(scores(self.model, scored), "test")
+
+    def _log(self, values: Mapping[str, float], split: str) -> None:
+        # as tensors, since Lightning makes single precision of plain numbers
+        self.log_dict({f"{split}/{name}": torch.tensor(value, dtype=torch.float64) for name, value in values.items()},
+                      batch_size=1, prog_bar=split == "validation")
+
+
+class LeastSquaresFit(ModelFit):
+    """Fits a model in closed form: one epoch per stage, each solved at its last batch.
+
+    The solve is the step of the optimizer `ExactSolve`, so that checkpoints, loggers and the validation after the
+    epoch all see the solved parameters. ridge, penalty: see `ExactSolve`. folds: cross-validation parts, by trajectory
+    and, within long ones, by contiguous stretches.
+    `solutions` keeps what the fit found, for its report.
+    """
+
+    def __init__(self, procedure: LeastSquaresModel, ridge: float | Sequence | dict = 0.0, folds: int = 5,
+                 penalty: str = "ridge"):
+        super().__init__(procedure.model)
+        if folds < 2:
+            raise ValueError(f"folds is {folds}; cross-validation needs at least 2")
+        unknown = set(ridge) - {"default", *procedure.names} if isinstance(ridge, Mapping) else set()
+        if unknown:
+            raise ValueError(f"ridge names {sorted(unknown)}; the regressions are {sorted(procedure.names)}")
+        for each in ridge.values() if isinstance(ridge, Mapping) else [ridge]:
+            _ = ridge_candidates(each)
+        if penalty not in PENALTIES:
+            raise ValueError(f"penalty is {penalty!r}; expected one of {sorted(PENALTIES)}")
+        self.procedure, self.ridge, self.folds, self.penalty = procedure, ridge, int(folds), penalty
+        self.automatic_optimization = False
+        self.solutions: dict[str, dict] = {}
+
+    @property
+    def epochs(self) -> int:
+        """Passes over the data that the fit takes."""
+        return len(self.procedure.stages)
+
+    def configure_optimizers(self) -> ExactSolve:
+        return ExactSolve(self.model.parameters(), self.ridge, self.penalty)
+
+    def on_train_start(self) -> None:
+        if isinstance(getattr(self.trainer.train_dataloader, "sampler", None), DistributedSampler):
+            raise ValueError("the trainer would repeat segments to even out the processes, and count them twice; "
+                             "set trainer.use_distributed_sampler=false (the data module shares them out)")
+        # DDP waits for a backward pass that a closed-form fit never makes
+        self.trainer.strategy.model.require_backward_grad_sync = False
+
+    @property
+    def stage(self) -> str:
+        return self.procedure.stages[min(self.current_epoch, self.epochs - 1)]
+
+    @torch.no_grad()
+    def training_step(self, segment: Segment, index: int) -> None:
+        solver = self.optimizers()
+        fold = (segment.trajectory + segment.index) % self.folds
+        for name, rows in self.procedure.regressions(segment, self.stage).items():
+            solver.optimizer.accumulate(name, rows.features, rows.targets, fold)
+        if self.stage == self.procedure.stages[-1]:
+            self._observe_scale(segment)
+        if self.trainer.is_last_batch:
+            solver.step()
+            found = solver.optimizer.solutions
+            self.procedure.assign(self.stage, found)
+            self._record(found)
+
+    def _observe_scale(self, segment: Segment) -> None:
+        if segment.kind == "static":
+            return
+        windows, inputs = self._windows(segment)
+        largest = self.model.encode(windows, inputs).abs().amax(0)
+        scale = self.model.state_scale
+        scale.copy_(torch.where(scale.isinf(), largest, torch.maximum(scale, largest)))
+        if self.trainer.is_last_batch and distributed.is_available() and distributed.is_initialized():
+            distributed.all_reduce(scale, op=distributed.ReduceOp.MAX)
+
+    def _windows(self, segment: Segment) -> tuple[Tensor, Tensor]:
+        if hasattr(self.procedure, "windows"):
+            return self.procedure.windows(segment)
+        windows = delay_windows(segment.observation, self.model.delays)
+        if self.model.delays:
+            return windows, delay_windows(segment.input[:-1], self.model.delays - 1)
+        return windows, windows.new_zeros(len(windows), 0, self.model.input_dim)
+
+    def _record(self, solutions: dict) -> None:
+        for name, solution in solutions.items():
+            if len(solution.coefficients) == 0:
+                continue
+            self.solutions[name] = {
+                "rows": solution.rows, "features": solution.coefficients.shape[1], "rank": solution.rank,
+                "condition": solution.condition, "ridge": solution.ridge, "relative_residual": solution.residual,
+                "cross_validation": {f"{ridge:g}": error for ridge, error in solution.validation.items()}}
+            self.log(f"fit/{name}_residual", solution.residual)
+
+    def on_save_checkpoint(self, checkpoint: dict) -> None:
+        super().on_save_checkpoint(checkpoint)
+        checkpoint["solutions"] = self.solutions
+
+    def on_load_checkpoint(self, checkpoint: dict) -> None:
+        self.solutions = checkpoint["solutions"]

@@ -1,0 +1,68 @@
+"""What recordings lack, said before any fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ssmr_torch import data_sheet as sheet
+from ssmr_torch.data_sheet import DataSheet
+from ssmr_torch.recording_checks.context import Recorded
+from ssmr_torch.recording_checks.coverage import coverage
+from ssmr_torch.recording_checks.decays import decays
+from ssmr_torch.recording_checks.finding import SEVERITIES, Finding
+from ssmr_torch.recording_checks.held_out import held_out
+from ssmr_torch.recording_checks.signals import delay, dither, noise, sampling
+from ssmr_torch.recording_checks.statics import drift, friction, neutral
+from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
+
+CHECKS = (decays, coverage, dither, held_out, noise, sampling, delay, friction, drift, neutral)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingsReport(DataSheet):
+    """Findings about recordings, one per subject, each with a severity, a number and a remedy; `findings` by name."""
+
+    findings: tuple[Finding, ...]
+    title: str
+    dataset: TrajectoryDataset
+
+    def __getitem__(self, subject: str) -> Finding:
+        """Raises KeyError, with the subjects that exist, for another."""
+        for finding in self.findings:
+            if finding.subject == subject:
+                return finding
+        raise KeyError(f"no finding {subject!r}; there are {[each.subject for each in self.findings]}")
+
+    def counts(self) -> dict[str, int]:
+        """How many findings have each severity."""
+        return {severity: sum(each.severity == severity for each in self.findings) for severity in SEVERITIES}
+
+    def as_dict(self) -> dict:
+        """Plain values: of each subject severity, sentence, remedy and numbers in SI units."""
+        return {each.subject: {"severity": each.severity, "said": each.said, "remedy": each.remedy,
+                               "numbers": each.numbers} for each in self.findings}
+
+    def data_sheet(self) -> tuple[str, dict]:
+        counted = sheet.listed(f"{count} {severity}" for severity, count in self.counts().items())
+        return f"Recordings: {self.title}; {counted}", {each.subject: str(each) for each in self.findings}
+
+    def figures(self, directory: str | Path) -> list[Path]:
+        """Draw what was found into directory/recordings.svg; needs matplotlib (extra train)."""
+        from ssmr_torch.evaluation import recordings_figures
+
+        return recordings_figures.save_all(self.findings, directory, self.dataset.output_names)
+
+
+def check(data: TrajectoryDataset) -> RecordingsReport:
+    """What recordings lack, before any fit: decays, range, dither, held-out runs, noise, sampling, delay, friction,
+    drift and the neutral input, each with a number and a remedy.
+
+    data: of `read`, `load` or `trajectories`. The training's runs are judged; nothing is changed. A subject that these
+    runs cannot tell says so.
+    Raises TypeError for what is no dataset.
+    """
+    refuse_other_data(data)
+    recorded = Recorded(data)
+    title = (f"{len(data)} runs, {sum(run.length for run in data)} samples, {sheet.period(data.timestep)}")
+    return RecordingsReport(tuple(found(recorded) for found in CHECKS), title, data)

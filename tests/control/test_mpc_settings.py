@@ -1,0 +1,106 @@
+"""Claims about the settings of predictive control: one set of them, checked once, wherever they come from."""
+
+import json
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from ssmr_torch import configuration
+from ssmr_torch.control.actuator import Actuator
+from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.control.mpc_settings import PredictiveControlSettings
+from ssmr_torch.tasks.references import figure_eight
+from ssmr_torch.wire import runner
+
+NAMES = [field.name for field in fields(PredictiveControlSettings)]
+TASK = figure_eight(laps=1.0)
+
+
+@pytest.mark.parametrize(("changes", "said"), [
+    ({"horizon": 2.5}, "horizon is 2.5; expected a whole number, 1 or more"), ({"horizon": 0}, "horizon is 0"),
+    ({"horizon": True}, "horizon is True"), ({"horizon": "5"}, "horizon is '5'"),
+    ({"first_iterations": 1.5}, "first_iterations is 1.5"), ({"iterations": 0}, "iterations is 0"),
+    ({"frozen_after": -1}, "frozen_after is -1; expected a whole number, 0 or more"),
+    ({"range_factor": np.nan}, "range_factor is nan; expected a positive, finite number"),
+    ({"range_factor": 0}, "range_factor is 0"), ({"range_factor": -1.0}, "range_factor is -1.0"),
+    ({"period": np.nan}, "period is nan s"), ({"period": 0.0}, "period is 0.0 s"),
+    ({"tolerance": 0.0}, "tolerance is 0.0"), ({"output_weight": np.inf}, "output_weight is inf 1/m²"),
+    ({"terminal_weight": -1.0}, "terminal_weight is -1.0 1/m²; expected a finite number, 0 or more"),
+    ({"measurement_delay": np.nan}, "measurement_delay is nan s"),
+    ({"input_weight": [1.0, 0.0]}, r"input_weight\[1\] is 0.0; expected"), ({"input_weight": None}, "not unique"),
+    ({"input_rate": [np.nan]}, r"input_rate\[0\] is nan input unit/s"), ({"margins": [np.nan]}, "margins is"),
+    ({"safe_input": 0.0}, "safe_input is 0.0; expected a list of numbers, or None"),
+    ({"safe_input": "none"}, "safe_input is none; expected a list of numbers, or None"),
+    ({"output_bounds": [[0.0], [1.0, 2.0]]}, "output_bounds is .*; expected a list of numbers"),
+    ({"margin_quantile": 1.0}, "margin_quantile is 1.0; expected a share between 0 and 1"),
+    ({"margin_quantile": "most"}, "margin_quantile is 'most'"), ({"hard_constraints": 1}, "hard_constraints is 1"),
+    ({"violation_weight": [1.0]}, "expected two numbers"), ({"observer": "kalman"}, "observer is 'kalman'"),
+    ({"move_weight": -1.0}, "move_weight is -1.0; expected a finite number, 0 or more"),
+    ({"move_weight": [0.0, np.inf]}, r"move_weight\[1\] is inf"), ({"huber": 0.0}, "huber is 0.0 m"),
+    ({"input_target": 0.1}, "input_target is 0.1; expected a list of numbers, or None"),
+    ({"approach": -1.0}, "approach is -1.0 s"), ({"actuator": 3.0}, "actuator is 3.0; expected an Actuator, a mapping"),
+    ({"actuator": {"lag": 0.02}}, "the actuator has lag; expected timestep and input_range as well"),
+    ({"actuator": {"timestep": 0.01, "input_range": [1.0], "delay": -1}}, "delay is -1; expected a whole number, 0"),
+])
+def test_what_makes_no_sense_is_refused_with_what_was_given_and_what_was_expected(changes, said):
+    with pytest.raises(ValueError, match=said):
+        PredictiveControlSettings(**changes)
+
+
+def test_an_unknown_name_is_refused_with_the_nearest_right_one(bench):
+    with pytest.raises(TypeError, match="no horizn; did you mean horizon"):
+        PredictiveControlSettings().changed(horizn=3)
+    with pytest.raises(TypeError, match="no input_weigth; did you mean input_weight"):
+        ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS, input_weigth=3.0)
+
+
+def test_settings_and_changes_by_name_are_the_same(bench):
+    settings = PredictiveControlSettings(horizon=3, input_weight=[1.0, 2.0, 3.0, 4.0], output_bounds=[[-1.0] * 6,
+                                                                                                      [1.0] * 6])
+    whole = ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS, settings)
+    part = ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS, settings.changed(horizon=4), horizon=3)
+    by_name = ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS, horizon=3,
+                                        input_weight=np.arange(1.0, 5.0), output_bounds=np.array([[-1.0], [1.0]])
+                                        * np.ones(6))
+    assert whole.settings == part.settings == by_name.settings and hash(settings) == hash(by_name.settings)
+
+
+def test_constructor_configuration_and_runner_have_the_same_settings(bench):
+    made = ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS)
+    composed = configuration.built(configuration.composed("control").controller)(bench.oscillators(), TASK,
+                                                                                 bench.BOUNDS)
+    served = runner.build(json.loads(json.dumps(runner.DEFAULT["controller"])), bench.oscillators(), TASK, bench.BOUNDS)
+    assert made.settings == composed.settings == served.settings == PredictiveControlSettings()
+
+
+def test_every_setting_can_be_changed_on_the_command_line_but_the_observer_which_is_a_group():
+    config = configuration.composed("control").controller
+    assert set(NAMES) - {"observer"} <= set(config)
+
+
+ACTUATOR = {"timestep": 0.01, "input_range": [0.6] * 4, "delay": 2, "lag": 0.02, "play": 0.05, "gain": [1.0] * 4}
+
+
+def test_an_actuator_a_huber_cost_and_what_inputs_tend_to_are_set_on_the_command_line_and_by_the_runner(bench):
+    given = {"period": 0.01, "actuator": ACTUATOR, "move_weight": 300.0, "input_weight": [30.0] * 4, "huber": 5e-4,
+             "input_target": [0.1] * 4, "approach": 1.0}
+    made = ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS, **given)
+    words = [f"controller.{name}=" + json.dumps(value).replace('"', "") for name, value in given.items()]
+    composed = configuration.built(configuration.composed("control", words).controller)(bench.oscillators(), TASK,
+                                                                                        bench.BOUNDS)
+    served = runner.build(json.loads(json.dumps(runner.DEFAULT["controller"] | given)), bench.oscillators(), TASK,
+                          bench.BOUNDS)
+    assert made.settings == composed.settings == served.settings and hash(made.settings) == hash(composed.settings)
+    assert made.settings.actuator == Actuator(0.01, (0.6,) * 4, 2, 0.02, 0.05, gain=(1.0,) * 4)
+    assert made.settings == made.settings.changed(actuator=made.settings.actuator.plain())
+
+
+def test_an_actuator_with_a_name_that_is_none_of_its_settings_is_refused_with_the_nearest_one():
+    with pytest.raises(TypeError, match="Actuator has no delays; did you mean delay"):
+        PredictiveControlSettings(actuator=ACTUATOR | {"delays": 1})
+
+
+def test_every_setting_is_explained():
+    described = PredictiveControlSettings.__doc__.replace("\n", " ")
+    assert all(f"{name}:" in described for name in NAMES)
