@@ -8,6 +8,7 @@ from importlib import import_module
 from operator import attrgetter
 
 from ssmr_torch.extras import remedy
+from ssmr_torch.renamed import NAMES
 
 
 def found(home: str):
@@ -28,9 +29,11 @@ def found(home: str):
 def lazily(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
     """`__getattr__` and `__dir__` of a package whose names live elsewhere; homes: of each name, as in `found`.
 
-    Raises AttributeError, with the names that exist, for others.
+    Raises AttributeError for others, with the names that exist, or with the new name of one that has moved.
     """
     def get(name: str):
+        if moved := NAMES.get(f"{package}.{name}"):
+            raise AttributeError(f"{package}.{name} is now {moved}", name=name, obj=sys.modules[package])
         if name not in homes:
             raise AttributeError(f"{package} has no {name!r}; it has {', '.join(sorted(homes))}", name=name,
                                  obj=sys.modules[package])

@@ -9,7 +9,7 @@ import signal
 import sys
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -29,7 +29,7 @@ def reproduce(settings: Mapping, figures: str | Sequence[str], directory: Path, 
               recordings: str | None = None, groups: Sequence[str] = ()) -> tuple[Path, list[str]]:
     """Do what is missing below directory; the path of report.html, and a sentence for every job that failed.
 
-    settings: a preset (conf/preset), plain. figures: all, or names. executor: from paper/executors; it is closed.
+    settings: a preset (conf/preset), plain. figures: all, or names. executor: one of paper/executors.
     recordings: folder of the paper's recordings of the real robot. groups: folders of --config-dir.
     Raises ValueError, before any work, for a figure, robot or method that the settings do not have, a package that is
     not installed, recordings that are no folder, and a directory in which another command works.
@@ -39,9 +39,8 @@ def reproduce(settings: Mapping, figures: str | Sequence[str], directory: Path, 
     for module, install in settings.get("needs", {}).items():
         if find_spec(module) is None:
             raise ValueError(f"{module} is not installed: {install}")
-    with _alone_in(directory) as turn, closing(executor), _ended_by_signals():
-        os.environ.update(SINGLE)
-
+    os.environ.update(SINGLE)
+    with _alone_in(directory) as turn, _ended_by_signals(), executor:
         def done(job: Job) -> dict:
             return executor.submit(perform, job, str(directory), turn, groups).result()
 
@@ -77,7 +76,7 @@ def _folder(recordings: str | None) -> str | None:
 def _alone_in(directory: Path) -> Iterator[str]:
     """One command at a time below a directory; what is left of an interrupted one is removed.
 
-    Yields this command's turn: jobs of an earlier one that still wait in the queue of a cluster see that theirs is over.
+    Yields this command's turn: jobs of an earlier one that still wait in a cluster's queue see that theirs is over.
     """
     jobs = directory / "jobs"
     jobs.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from doit.control import TaskControl
 from doit.dependency import Dependency, JsonDB
-from doit.exceptions import TaskFailed, UnmetDependency
+from doit.exceptions import InvalidTask, TaskFailed, UnmetDependency
 from doit.runner import MThreadRunner
 from doit.task import Task, result_dep
 from doit.tools import config_changed
@@ -93,7 +93,10 @@ def run(jobs: Sequence[Job], directory: Path, perform: Callable[[Job], dict], *,
     noted of it. workers: jobs at a time. only: names of those that are asked for; None for all.
     Raises ValueError for a job that needs one which is not among the jobs.
     """
-    control = TaskControl(_tasks(jobs, directory, perform))
+    try:
+        control = TaskControl(_tasks(jobs, directory, perform))
+    except InvalidTask as error:
+        raise ValueError(str(error)) from error
     control.process(None if only is None else list(only))
     progress = Progress([job.name for job in jobs] if only is None else only)
     Runner(_notes(directory), progress, continue_=True, num_process=workers).run_all(control.task_dispatcher())

@@ -21,13 +21,15 @@ class JoblibProcesses:
         self.workers = workers
         self._futures: list[Future] = []
 
+    def __enter__(self) -> JoblibProcesses:
+        return self
+
     def submit(self, function: Callable, *arguments) -> Future:
         """A future whose result() is function(*arguments), or raises what ended its process."""
         self._futures.append(self._pool().submit(function, *arguments))
         return self._futures[-1]
 
-    def close(self) -> None:
-        """End the processes, whatever they do."""
+    def __exit__(self, *_) -> None:
         if self._futures:
             self._pool().shutdown(kill_workers=not all(future.done() for future in self._futures))
 

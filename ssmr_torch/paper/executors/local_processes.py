@@ -20,26 +20,25 @@ class LocalProcesses:
 
     def __init__(self, workers: int = 2):
         self.workers = workers
-        self._pool: ProcessPoolExecutor | None = None
         self._lock = threading.Lock()
+
+    def __enter__(self) -> LocalProcesses:
+        self._pool = self._new_pool()
+        return self
 
     def submit(self, function: Callable, *arguments) -> Future:
         """A future whose result() is function(*arguments), or raises what ended its process."""
         with self._lock:
-            if self._pool is None:
-                self._pool = self._new_pool()
             try:
                 return self._pool.submit(function, *arguments)
             except BrokenProcessPool:
                 self._pool = self._new_pool()
                 return self._pool.submit(function, *arguments)
 
-    def close(self) -> None:
-        """End the processes, whatever they do."""
+    def __exit__(self, *_) -> None:
         for process in multiprocessing.active_children():
             process.kill()
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
+        self._pool.shutdown(cancel_futures=True)
 
     def _new_pool(self) -> ProcessPoolExecutor:
         return ProcessPoolExecutor(self.workers, multiprocessing.get_context("spawn"), begin, (os.getpid(),))

@@ -27,6 +27,9 @@ class SubmititJobs:
         self._where = (Path(folder), cluster)
         self._jobs: list[submitit.Job] = []
 
+    def __enter__(self) -> SubmititJobs:
+        return self
+
     def submit(self, function: Callable, *arguments) -> submitit.Job:
         """A job whose result() is function(*arguments), or raises what ended its process."""
         folder, cluster = self._where
@@ -36,8 +39,7 @@ class SubmititJobs:
         self._jobs.append(job)
         return job
 
-    def close(self) -> None:
-        """Cancel what still runs or waits, and see it end."""
+    def __exit__(self, *_) -> None:
         running = [job for job in self._jobs if not job.done(force_check=True)]
         for job in running:
             job.cancel()
