@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from ssmr_torch.periods import whole_multiple
 from ssmr_torch.status import Status
 
 if TYPE_CHECKING:
@@ -44,11 +43,6 @@ class Controller(Protocol):
 
     def __call__(self, time: float, observation: np.ndarray) -> Command:
         """time in s; observation (p,): displacement from rest, m, before the returned input acts."""
-
-
-def whole_steps(name: str, time: float, timestep: float) -> int:
-    """How many measurements `timestep` s apart `time` s take. Raises ValueError when that is no whole number."""
-    return whole_multiple(name, time, "the timestep of the measurements", timestep)
 
 
 def changed_bounds(bounds, shape: tuple[int, int]) -> np.ndarray:

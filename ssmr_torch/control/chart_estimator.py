@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ssmr_torch.control.checked_measurement import RecordedRange
+from ssmr_torch.control.sampling import RecordedRange
 
 # Samples before the window that are kept to bridge gaps in it.
 BEFORE = 6
