@@ -59,7 +59,7 @@ class PiecewiseLinearModel(Model):
     def repeats(self) -> int:
         """Number of maps in one step."""
         return whole_multiple("the step", self.timestep, "the timestep that this discrete-time model was fitted at",
-                              self.base_timestep, "choose another period, or fit the model at a timestep that divides it")
+                              self.base_timestep, "choose another period, or fit at a timestep that divides it")
 
     @property
     def window_steps(self) -> int:

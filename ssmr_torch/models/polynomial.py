@@ -94,7 +94,7 @@ class PolynomialModel(Model):
         if self.flow:
             return 1
         return whole_multiple("the step", self.timestep, "the timestep that this discrete-time model was fitted at",
-                              self.base_timestep, "choose another period, or fit the model at a timestep that divides it")
+                              self.base_timestep, "choose another period, or fit at a timestep that divides it")
 
     @property
     def affine(self) -> bool:

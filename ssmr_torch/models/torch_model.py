@@ -35,13 +35,13 @@ class TorchModel(nn.Module, ABC):
     """A Torch module whose parameters are the arrays of a `Model`. `reduced` builds that model, which does the
     mathematics.
 
-    tables: names of the parameters that make, side by side, each table of a polynomial model; empty for other families.
+    tables: for each table of a polynomial model, the parameters that form it side by side; empty for other models.
 
-    A subclass declares, beside its equation, its parameters, and gives the family's `Model` on them as `reduced`. Its
-    constructor's arguments are attributes of the same names, plain values: with the state dict they rebuild the module.
+    A subclass declares its parameters and returns the `Model` on them as `reduced`. The arguments of its constructor
+    are also attributes of the same names, with plain values: together with the state dict they rebuild the module.
     Sizes, delays and timesteps as in `Model`; window_timestep None: the timestep.
-    given: arguments that the data give a training, unless a configuration names them.
-    Raises ValueError for sizes that are no positive whole numbers, or times that are not positive.
+    given: arguments that a training takes from the data, unless a configuration sets them.
+    Raises ValueError for sizes that are not positive whole numbers, or times that are not positive.
     """
 
     given: ClassVar[tuple[str, ...]] = ("input_dim", "output_dim", "timestep", "window_timestep")
