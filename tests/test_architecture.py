@@ -36,7 +36,7 @@ HOMES = {
              "collection/resumption.py", "paper/report_sections.py", "paper/workspace_errors.py"],
     "yaml": ["data/recording_card.py", "commissioning/card.py"],
     "matplotlib": ["evaluation/*figures.py"],
-    "jinja2": ["evaluation/report.py"], "markupsafe": ["evaluation/report.py"],
+    "jinja2": ["report/html_page.py"], "markupsafe": ["report/html_page.py"],
     "meshio": ["plants/finite_element/mesh_files.py"], "fontTools": ["tasks/symbols.py"],
     "zmq": ["wire/link.py"], "rerun": ["closed_loop/rerun_view.py"],
     "doit": ["paper/workflow.py"], "joblib": ["paper/executors/joblib_processes.py"],
@@ -61,7 +61,7 @@ TOUCHES_FILES = [
     "provenance.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py", "commissioning/directory.py",
     "controller_design/report.py", "defaults.py", "data/*",
     "deployment/deploy.py", "fitting/by_kind.py", "fitting/checkpoints.py", "evaluation/*figures.py",
-    "evaluation/report.py", "evaluation/report_sections.py",
+    "report/html_page.py", "report/run_sections.py",
     "paper/job_run.py", "paper/report_sections.py", "paper/reproduction.py", "paper/result_tables.py",
     "paper/workflow.py", "paper/workspace_errors.py",
     "plants/finite_element/mesh_files.py", "tasks/symbols.py", "closed_loop/rerun_view.py"]

@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
-from ssmr_torch.evaluation.report import write_report
 from ssmr_torch.paper import workflow
 from ssmr_torch.paper.executors.worker_process import SINGLE
 from ssmr_torch.paper.job_run import perform
@@ -21,6 +20,7 @@ from ssmr_torch.paper.jobs import Job, chosen, plan, slower_runs, with_recording
 from ssmr_torch.paper.report_sections import report_sections
 from ssmr_torch.paper.result_tables import solve_times, write_tables
 from ssmr_torch.provenance import provenance
+from ssmr_torch.report.html_page import write_report
 
 TITLE = "Discovering dominant dynamics for nonlinear continuum robot control: what comes out"
 

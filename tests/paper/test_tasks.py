@@ -47,10 +47,10 @@ def test_pacman_survives_a_file_to_the_last_bit():
 
 @pytest.mark.parametrize(("build", "message"), [
     (lambda: pacman(radius=-0.02), "radius is -0.02 m"),
-    (lambda: pacman(mouth=0.0), "opens by 0.0 rad"),
-    (lambda: pacman(mouth=60.0), "for 60 degrees 1.0472"),
+    (lambda: pacman(mouth=0.0), "mouth is 0.0 rad"),
+    (lambda: pacman(mouth=60.0), "60 degrees are 1.0472"),
     (lambda: pacman(tracked=("tip_x",)), "tracks 1 outputs"),
-    (lambda: pacman(tracked=("tip_x", "tip_x")), "each once"),
+    (lambda: pacman(tracked=("tip_x", "tip_x")), "each output only once"),
 ])
 def test_a_pacman_without_meaning_is_refused(build, message):
     with pytest.raises(ValueError, match=message):
