@@ -20,3 +20,8 @@ def whole_multiple(what: str, period: float, of: str, base: float, remedy: str =
         raise ValueError(f"{what} is {period:.6g} s, which is {ratio:.6g} times {of}, {base:.6g} s; expected a whole "
                          f"multiple: {remedy}")
     return multiple
+
+
+def whole_steps(name: str, time: float, timestep: float) -> int:
+    """How many measurements `timestep` s apart `time` s take. Raises ValueError when that is no whole number."""
+    return whole_multiple(name, time, "the timestep of the measurements", timestep)

@@ -13,7 +13,7 @@ def test_a_whole_multiple_is_found_within_the_tolerance_of_recordings():
 
 def test_a_long_period_is_refused_where_the_next_multiple_would_do_as_well():
     assert whole_multiple("period", 1.00005, "the timestep", 0.001) == 1000
-    with pytest.raises(ValueError, match="1000.4 times; expected a whole multiple"):
+    with pytest.raises(ValueError, match="1000.4 times .*; expected a whole multiple"):
         whole_multiple("period", 1.0004, "the timestep", 0.001)
 
 

@@ -151,7 +151,7 @@ def test_datasets_can_be_compared_and_hashed(dataset, stored):
     ({"time": np.zeros(1), "observation": np.zeros((1, 2)), "input": np.zeros((1, 1))}, "1 samples; at least 2"),
     ({"kind": "free"}, "kind 'free' and split 'train'.*'decay'"), ({"split": "dev"}, "split 'dev'.*'validation'"),
     ({"observation": np.where(np.arange(18).reshape(9, 2) > 12, np.nan, 0)},
-     "3 of 9 samples of observation are not finite, the first is sample 6"),
+     "3 of 9 samples of observation are not finite, the first one is sample 6"),
     ({"input": np.full((9, 1), np.inf)}, "9 of 9 samples of input are not finite"),
     ({"time": 0.1 * np.array([0, 1, 2, 3, 3, 4, 5, 6, 7])}, "time does not increase at sample 4"),
     ({"time": 0.1 * np.array([0, 1, 2, 3, 4.01, 5, 6, 7, 8])},
@@ -177,7 +177,7 @@ def test_jitter_is_accepted_up_to_the_tolerance():
 
 
 @pytest.mark.parametrize(("runs", "rest", "message"), [
-    ([], np.zeros(3), "holds no trajectory; at least one"),
+    ([], np.zeros(3), "contains no trajectory; expected at least one"),
     ([run()], np.zeros(2), r"rest has shape \(2,\), but there are 3 output names"),
     ([run(), run(p=4, name="wide")], np.zeros(3), "'wide' has 4 outputs and 2 inputs; the dataset declares 3 and 2"),
     ([run(), run(m=1, name="thin")], np.zeros(3), "'thin' has 3 outputs and 1 inputs; the dataset declares 3 and 2"),

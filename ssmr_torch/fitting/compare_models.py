@@ -9,7 +9,7 @@ from time import process_time
 import numpy as np
 from tqdm import tqdm
 
-from ssmr_torch.comparison import Comparison
+from ssmr_torch.evaluation.model_comparison import Comparison
 from ssmr_torch.evaluation.run_groups import compare_groups
 from ssmr_torch.fitting.by_kind import fit, refuse_unknown_kind
 from ssmr_torch.fitting.training import data_card

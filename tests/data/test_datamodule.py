@@ -134,7 +134,7 @@ def check_rollout_shares(data):
 
 
 def test_more_processes_than_segments_are_refused_with_the_numbers():
-    with pytest.raises(ValueError, match="3 items for 4 processes; use fewer processes or smaller `rows`"):
+    with pytest.raises(ValueError, match="3 batches of data for 4 processes; use fewer processes, or a smaller `rows`"):
         next(shares(module(rows=10**6).prepare(CLOSED_FORM), 4))
 
 

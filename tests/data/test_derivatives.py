@@ -130,11 +130,11 @@ def test_smoothing_differences_pass_less_noise_than_central_ones_by_the_norm_of_
     (lambda: savitzky_golay(5, 5), "1 ≤ degree < window"), (lambda: savitzky_golay(5, 0), "degree 0"),
     (lambda: gaussian(0.1), "width 0.1 samples; expected at least 0.25"),
     (lambda: gaussian(float("nan")), "width nan"), (lambda: gaussian(float("inf")), "width inf"),
-    (lambda: Stencil((1.0, 2.0)), "2 weights; a centred stencil has an odd number, at least 3"),
+    (lambda: Stencil((1.0, 2.0)), "2 weights; expected an odd number of at least 3"),
     (lambda: Stencil((1.0,)), "1 weights"),
-    (lambda: Stencil((-1.0, 0.0, 1.0)), "differentiate a unit ramp to 2; expected 0 and 1"),
-    (lambda: Stencil((-0.5, 0.1, 0.5)), "weights sum to 0.1"),
-    (lambda: Stencil((float("nan"),) * 3), "weights sum to nan")])
+    (lambda: Stencil((-1.0, 0.0, 1.0)), "derivative of a ramp of slope 1 is 2; expected 0 and 1"),
+    (lambda: Stencil((-0.5, 0.1, 0.5)), "sum of the weights is 0.1"),
+    (lambda: Stencil((float("nan"),) * 3), "sum of the weights is nan")])
 def test_what_is_no_derivative_is_refused_with_the_numbers(build, message):
     with pytest.raises(ValueError, match=message):
         build()

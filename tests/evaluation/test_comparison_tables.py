@@ -61,7 +61,7 @@ def test_two_copies_of_a_model_are_tied_and_one_that_is_clearly_better_stands_al
     assert all(not each["full"] for each in found.values())  # one rollout tells nothing
     assert difference(without, "worse", "one", "1 s") == pytest.approx((1e-3, 1e-3, 1e-3))
     table = format_table(without)
-    assert [line.split()[-1] for line in table.splitlines()[2:5]] == ["%]"] * 3 and "tied with it" in table
+    assert [line.split()[-1] for line in table.splitlines()[2:5]] == ["%]"] * 3 and "tie, because" in table
     assert [cell.split()[-1] for cell in comparison_table(without, {}).splitlines()[3].split("|")[2:4]] == ["=", "="]
 
 

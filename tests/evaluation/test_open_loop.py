@@ -315,7 +315,7 @@ def test_a_horizon_that_no_trajectory_holds_is_refused_with_both_numbers():
 
 
 def test_a_horizon_shorter_than_a_sample_is_refused_and_one_shorter_than_a_step_is_interpolated():
-    with pytest.raises(ValueError, match="shorter than a sample"):
+    with pytest.raises(ValueError, match="shorter than the sampling time"):
         score_open_loop(persistence(DT), [line(400)], horizons=(0.5 * DT,))
     fine, coarse = (score_open_loop(persistence(n * DT), [line(400)], horizons=(0.05,)) for n in (1, 10))
     np.testing.assert_array_equal(fine["50 ms"].errors, coarse["50 ms"].errors)

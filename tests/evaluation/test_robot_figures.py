@@ -9,8 +9,8 @@ from matplotlib.collections import PolyCollection
 from PIL import Image
 
 from ssmr_torch.evaluation import figures, robot_figures
-from ssmr_torch.evaluation.report import Picture
 from ssmr_torch.evaluation.robot_figures import HANGING, STANDING, Camera, robot_animation, robot_stills
+from ssmr_torch.report.html_page import Picture
 
 LENGTH = 0.195
 TIME = 0.02 * np.arange(301)
@@ -63,11 +63,11 @@ def surface_of(axes):
     ({"triangles": np.array([[0.0, 1.0, 2.0]])}, "float64.*whole numbers"),
     ({"triangles": np.empty((0, 3), dtype=int)}, r"\(0, 3\)"),
     ({"shapes": np.zeros((4, 240, 2))}, r"\(4, 240, 2\).*\(K, N, 3\)"),
-    ({"rest": np.zeros((239, 3))}, "239 nodes, the shapes 240"),
+    ({"rest": np.zeros((239, 3))}, "239 nodes, but the shapes have 240"),
     ({"tip_times": TIME[:-1]}, r"\(300,\) for 301 rows of tip_path"),
     ({"tip_path": TIP_PATH * np.nan}, "903 of 903 values of tip_path.*diverged"),
-    ({"tip_times": TIME + 1.0}, "from 0.6 to 5.8 s, tip_path from 1 to 7 s"),
-    ({"times": np.array([3.0, 2.0, 4.0, 5.0])}, "do not ascend"),
+    ({"tip_times": TIME + 1.0}, "0.6 to 5.8 s, but tip_path covers only 1 to 7 s"),
+    ({"times": np.array([3.0, 2.0, 4.0, 5.0])}, "are not ascending"),
     ({"plane": (0, 3)}, r"\(0, 3\)"),
     ({"plane": (1, 1)}, r"\(1, 1\)"),
 ])
@@ -237,7 +237,7 @@ def test_an_animation_that_fails_leaves_the_one_before(tmp_path, monkeypatch):
 def test_only_a_gif_at_a_rate_it_can_have_is_written(tmp_path):
     with pytest.raises(ValueError, match="robot.mp4.*ending in .gif"):
         robot_animation(tmp_path / "robot.mp4", **motion())
-    with pytest.raises(ValueError, match="100.0 frames per second; expected 1 to 50"):
+    with pytest.raises(ValueError, match="100.0 frames per second; a GIF can show 1 to 50"):
         robot_animation(tmp_path / "robot.gif", **motion(), rate=100.0)
 
 

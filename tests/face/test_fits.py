@@ -85,5 +85,5 @@ def test_an_option_of_two_steps_is_refused_with_both_names():
                      "fit": {"closed_form": {"folds": 5}, "refinement": {"starts": 64, "_target_": "a.b"}}}
     assert dotted({"folds": 3, "fit.refinement.starts": 8}, configuration) == {
         "fit.closed_form.folds": 3, "fit.refinement.starts": 8}
-    with pytest.raises(TypeError, match="starts may be module.starts or fit.refinement.starts; say which"):
+    with pytest.raises(TypeError, match="starts may mean module.starts or fit.refinement.starts; give the full name"):
         dotted({"starts": 3}, configuration)

@@ -77,14 +77,14 @@ def test_a_step_of_the_models_own_is_one_that_a_partial_binds(known, module, bui
 
 
 @pytest.mark.parametrize(("build", "message"), [
-    (SSMR, "model is SSMR, which cannot be called with input_dim, output_dim, timestep alone: missing a required "
-           r"argument: 'state_dim'; expected .* such as functools.partial\(SSMR, …\)"),
+    (SSMR, "model is SSMR, which cannot be called with only input_dim, output_dim, timestep: missing a required "
+           r"argument: 'state_dim'; expected .* for example functools.partial\(SSMR, …\)"),
     (lambda input_dim, output_dim: None, "got an unexpected keyword argument 'timestep'"),
     (lambda: None, "model is .*<lambda>, which cannot be called with input_dim"),
-    (partial(SSMR, state_dim=2, input_dims=2), r"model binds \['input_dims'\] of SSMR, whose parameters are "
+    (partial(SSMR, state_dim=2, input_dims=2), r"model binds \['input_dims'\], but the parameters of SSMR are "
                                                r"\['state_dim', 'input_dim',"),
-    ("SSMR", "model is 'SSMR'; expected a callable whose signature can be read"),
-    (lambda input_dim, output_dim, timestep, state_dim="gap": None, "state_dim='gap', a rule that looks at"),
+    ("SSMR", "model is 'SSMR'; expected a class or function with a readable signature"),
+    (lambda input_dim, output_dim, timestep, state_dim="gap": None, "the rule state_dim='gap'. The rule needs"),
 ])
 def test_a_callable_that_does_not_take_them_is_refused_by_name(dataset, module, build, message):
     with pytest.raises(ValueError, match=message):

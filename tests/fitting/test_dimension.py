@@ -83,7 +83,7 @@ def test_a_rule_that_does_not_exist_is_refused(rule):
 def test_data_and_shares_that_decide_nothing_are_refused_with_the_numbers():
     with pytest.raises(ValueError, match="share is 1.5; expected a number between 0 and 1"):
         choose_dimension("variance:1.5", list(modes(1)), 1)
-    with pytest.raises(ValueError, match="2 singular values; a gap needs at least 3"):
+    with pytest.raises(ValueError, match="2 singular values; the rule 'gap' needs at least 3"):
         dimension_by_gap(np.array([1.0, 0.5]))
     with pytest.raises(ValueError, match="no trajectories were given"):
         window_singular_values([], 3)

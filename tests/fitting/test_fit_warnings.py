@@ -110,7 +110,7 @@ def test_a_window_of_as_many_values_as_coordinates_is_said_to_allow_no_curved_ma
         model.drift_table[:, :4] = -torch.eye(4)
         model.state_scale.fill_(1.0)
     warning = only_warning(report_of(model))
-    assert warning.startswith("The window holds p = 4 values, as many as the n = 4 reduced coordinates")
+    assert warning.startswith("The window holds p = 4 values and there are n = 4 reduced coordinates")
 
 
 def test_unstable_eigenvalues_are_counted_with_the_largest():

@@ -169,7 +169,7 @@ def test_rollouts_grow_and_the_learning_rate_falls_with_the_share_of_the_fit_tha
 
 
 def test_a_model_that_was_not_fitted_is_refused(known, tmp_path):
-    with pytest.raises(ValueError, match="was not fitted; put its closed form before"):
+    with pytest.raises(ValueError, match="was not fitted yet, .* run its closed-form fit before"):
         run(GradientFit(NeuralODE(2, 2, 4, 0), frozen=()), known.dataset(), tmp_path)
 
 
@@ -194,7 +194,7 @@ def test_what_a_fit_has_seen_travels_with_its_checkpoint():
 
 @pytest.mark.parametrize("options", [{"first_share": 0.0}, {"patience": 0}, {"minutes": -1.0}, {"weight_decay": -1.0}])
 def test_impossible_settings_are_refused(options):
-    with pytest.raises(ValueError, match="expected a share of at most 1 and positive numbers"):
+    with pytest.raises(ValueError, match="expected positive numbers, first_share ≤ 1"):
         GradientFit(SSMR(2, 1, 2), **options)
 
 

@@ -85,7 +85,7 @@ def test_without_a_kind_a_slow_fast_model_is_chosen_and_predicts_new_runs(model,
     window, inputs, past, measured = start(model, data)
     assert np.abs(model.predict(window, inputs, past) - measured).max() < 0.05 * np.ptp(measured, axis=0).max()
     said = " ".join(model.report["selection"]["found"])
-    assert "Chosen for prediction among" in said and "Error on stretches held out" in said
+    assert "Chosen for prediction among" in said and "Error on held-out parts" in said
     assert model.report["selection"]["facts"]["members"]
 
 
@@ -173,11 +173,11 @@ def test_a_stated_noise_gives_a_chart_that_takes_it(few, model, data):
 
 
 @pytest.mark.parametrize(("options", "error", "says"), [
-    ({"scored": ["tip"]}, ValueError, r"scored names \['tip'\], which are no outputs; there are \['y1', 'y2', 'y3'\]"),
+    ({"scored": ["tip"]}, ValueError, r"scored names \['tip'\], but the data have no such outputs; their outputs are \['y1', 'y2', 'y3'\]"),
     ({"purpose": "fun"}, ValueError, "purpose is 'fun'; expected one of .'prediction', 'control'"),
     ({"team": 0}, ValueError, "team is 0"), ({"noise": -1e-3}, ValueError, "noise is -0.001"),
     ({"symmetry": "some"}, ValueError, "symmetry is 'some'"), ({"minutes": -1}, ValueError, "minutes is -1"),
-    ({"coordinates": ["polar"]}, ValueError, "output coordinates 'polar': the data suggest"),
+    ({"coordinates": ["polar"]}, ValueError, "output coordinates 'polar' are not possible"),
     ({"teams": 2}, TypeError, "no option teams; did you mean .*team")])
 def test_settings_that_make_no_sense_are_refused_before_any_search(few, data, options, error, says):
     with pytest.raises(error, match=says):
@@ -233,7 +233,7 @@ def test_one_run_only_is_refused(few):
 
 def test_decays_alone_are_refused(few):
     given = recorded()
-    with pytest.raises(ValueError, match="inputs that never change|no controlled runs to learn from"):
+    with pytest.raises(ValueError, match="inputs that never change|no controlled training runs"):
         fitted(ssmr.trajectories(decays=given["decays"], test=given["test"], units=given["units"]))
     assert not few
 
@@ -272,7 +272,7 @@ def test_the_whole_selection_beats_persistence_and_finds_the_same_again(data):
 @pytest.mark.parametrize("seconds", [0.3, 0.5, 0.8])
 def test_training_runs_that_are_too_short_are_refused_with_what_they_need(few, seconds):
     given = recorded(runs=2, seconds=seconds, decays=0) | {"test": [robot(9, 6.0)]}
-    with pytest.raises(ValueError, match="no two stretches to hold out .* 21 samples .*; record more runs, or longer"):
+    with pytest.raises(ValueError, match="are too short: .* 21 samples; record more runs, or runs longer"):
         fitted(ssmr.trajectories(**given))
     assert not few
 
@@ -309,5 +309,5 @@ def test_what_leaves_the_training_is_said_once_a_call(model, data):
         found = model.predict(window, 4.0 * np.tile(inputs, (20, 1)), past)
     assert np.isfinite(found).all() and len(said) == 2
     inside, outside = (str(each.message) for each in said)
-    assert re.match(r"inputs leave the range of the training: u[12] goes from .* do not trust", inside)
-    assert re.match(r"outputs leave the range of the training: y[123] goes from .* mm", outside)
+    assert re.match(r"inputs leave the training range: u[12] is between .* not reliable", inside)
+    assert re.match(r"outputs leave the training range: y[123] is between .* mm", outside)

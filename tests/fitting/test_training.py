@@ -126,7 +126,7 @@ class Owned:
      "state_dict": {}, "card": {}}, Owned()], ids=lambda content: type(content).__name__)
 def test_checkpoints_of_something_else_are_refused(tmp_path, content):
     torch.save(content, tmp_path / "other.ckpt")
-    with pytest.raises(ValueError, match="other.ckpt (holds no model of this package|is not a checkpoint)"):
+    with pytest.raises(ValueError, match="other.ckpt (holds no model of this package|cannot be read as a checkpoint)"):
         load_model(tmp_path / "other.ckpt")
 
 
@@ -135,7 +135,7 @@ def test_files_that_are_no_checkpoints_are_refused(tmp_path, whole):
         load_model(tmp_path / "absent.ckpt")
     for content in (b"", b"hello", whole.checkpoint.read_bytes()[:-300]):
         (tmp_path / "bad.ckpt").write_bytes(content)
-        with pytest.raises(ValueError, match="bad.ckpt is not a checkpoint of plain values"):
+        with pytest.raises(ValueError, match="bad.ckpt cannot be read as a checkpoint of plain values"):
             load_model(tmp_path / "bad.ckpt")
 
 

@@ -366,7 +366,7 @@ def test_another_timestep_is_the_same_flow(model, batch):
 @pytest.mark.parametrize(("change", "message"), [
     ({"state_dim": 0}, "positive integer"), ({"delays": -1}, "0 or more"), ({"timestep": 0.0}, "must be positive"),
     ({"state_dim": 7}, "fewer than the 7 reduced coordinates; use at least 2 delays"),
-    ({"dynamics_degree": 0}, "expected 1 or more"), ({"control_degree": -1}, "0 \\(constant\\) or more"),
+    ({"dynamics_degree": 0}, "expected a whole number, 1 or more"), ({"control_degree": -1}, "0 \\(constant\\) or more"),
     ({"substeps": 0}, "1 or more")])
 def test_impossible_sizes_are_refused_with_the_numbers(change, message):
     with pytest.raises(ValueError, match=message):
@@ -386,7 +386,7 @@ def test_a_model_of_one_state_and_any_terms_has_the_rate_of_what_is_linear_in_it
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    ({"parametrization": np.ones((2, 6))}, "2 rows; expected 3, of the newest sample, or 6, of the whole window"),
+    ({"parametrization": np.ones((2, 6))}, "2 rows; expected 3 for the newest sample, or 6 for the whole window"),
     ({"window_scale": np.ones(2)}, "2 entries; expected 6"), ({"substeps": 0}, "0; expected a whole number")])
 def test_tables_that_fit_no_window_are_refused_with_both_numbers(change, message):
     with pytest.raises(ValueError, match=message):
@@ -406,5 +406,5 @@ def test_only_a_state_that_is_the_lifted_window_can_be_lifted_anew():
 
 def test_a_chart_that_looks_at_inputs_says_so_where_they_are_missing():
     model = random_control_augmented()
-    with pytest.raises(ValueError, match="inputs held within a window; give them"):
+    with pytest.raises(ValueError, match="inputs held within the window; give them"):
         model.encode(torch.zeros(model.delays + 1, model.output_dim, dtype=torch.float64))

@@ -151,10 +151,10 @@ def test_markers_of_a_mixture_within_a_mixture_multiply_their_weights():
     (lambda: ConstantCurvature(((0.0, np.nan),)), "expected 2 or 3 finite numbers"),
     (lambda: Mixture((PLANE, Identity(4)), (1.0,), 4), r"2 coordinates with the weights \(1.0,\)"),
     (lambda: Mixture((PLANE, Identity(4)), (0.5, 0.6), 4), "one positive weight for each, of sum 1"),
-    (lambda: small_model(PLANE), "output coordinates of 4 outputs for a model of 2"),
-    (lambda: coordinates_from_plain({"class": "ssmr_torch.models.monomials:Form"}), "is no class of output coord"),
-    (lambda: coordinates_from_plain({"class": "no_such_module:Mine"}), "no_such_module:Mine, is not found here"),
-    (lambda: coordinates_from_plain({"class": "ssmr_torch.models.monomials:Mine"}), "put its module on the path")])
+    (lambda: small_model(PLANE), "output coordinates for 4 outputs, but the model has 2"),
+    (lambda: coordinates_from_plain({"class": "ssmr_torch.models.monomials:Form"}), "is not a class of output coord"),
+    (lambda: coordinates_from_plain({"class": "no_such_module:Mine"}), "no_such_module:Mine is not found here"),
+    (lambda: coordinates_from_plain({"class": "ssmr_torch.models.monomials:Mine"}), "put its module on the Python path")])
 def test_what_are_no_coordinates_is_refused_with_what_is_wrong(make, message):
     with pytest.raises(ValueError, match=message):
         make()
@@ -165,7 +165,7 @@ def test_a_class_within_a_function_is_refused_for_nobody_finds_it_again():
     class Hidden(Identity):
         pass
 
-    with pytest.raises(ValueError, match="a class within a function.*at the top of a module"):
+    with pytest.raises(ValueError, match="defined inside a function.*at the top level of a module"):
         Hidden(2).plain()
 
 
@@ -191,9 +191,9 @@ ARC = ConstantCurvature(((0.0, 0.3),))
 
 def test_the_model_and_its_card_say_the_coordinates_in_words(tmp_path):
     model = small_model(ARC)
-    assert "in output coordinates: angle and length of constant-curvature arcs, of 300 mm at rest" in repr(model)
+    assert "in output coordinates: bending angle and length of constant-curvature arcs, 300 mm long at rest" in repr(model)
     loaded = artifact.load(saved(tmp_path / "arc", model))
-    assert "constant-curvature arcs, of 300 mm at rest" in loaded.card["geometry"]
+    assert "constant-curvature arcs, 300 mm long at rest" in loaded.card["geometry"]
     assert loaded.card["model"]["reach"] == 1.0 and loaded.card["model"]["coordinates"] == json.loads(
         json.dumps(ARC.plain()))
     assert loaded.model.coordinates == ARC
@@ -217,7 +217,7 @@ def test_nonlinear_terms_saturate_from_the_reach_on():
     within, beyond = np.array([0.09, -0.09]), np.array([0.19, -0.19])
     np.testing.assert_array_equal(once.step(within, u), twice.step(within, u))
     assert np.abs(once.step(beyond, u) - twice.step(beyond, u)).max() > 1e-5
-    with pytest.raises(ValueError, match="reach is 0.0; expected a positive, finite number"):
+    with pytest.raises(ValueError, match="reach is 0.0; expected a positive and finite number"):
         small_model(None, reach=0.0)
 
 

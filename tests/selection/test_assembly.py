@@ -70,7 +70,7 @@ def test_a_window_of_held_inputs_fills_an_actuators_memory_with_them():
 
 
 def test_a_memory_longer_than_what_is_at_hand_is_refused_with_both_numbers():
-    with pytest.raises(ValueError, match="a memory of 9 past inputs; 4 are at hand"):
+    with pytest.raises(ValueError, match="a memory of 9 past inputs; expected at most 4"):
         Specification(memory=("shift", 9)).memory_weights(4)
 
 

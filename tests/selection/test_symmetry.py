@@ -171,7 +171,7 @@ def test_a_stated_symmetry_that_makes_no_sense_is_refused(change, says):
 
 
 def test_outputs_that_are_no_markers_cannot_be_turned():
-    with pytest.raises(ValueError, match="5 outputs are no markers"):
+    with pytest.raises(ValueError, match="5 outputs are not markers"):
         stated(QUARTER, CABLES, 5)
 
 

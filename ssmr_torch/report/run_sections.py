@@ -15,8 +15,8 @@ from ssmr_torch.evaluation.measured_rollouts import predict_trajectory
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.evaluation.open_loop import OpenLoopScore
 from ssmr_torch.evaluation.predictors import BASELINES
-from ssmr_torch.evaluation.report import Picture, Section, Table
 from ssmr_torch.plants.emulated_rig import Rig
+from ssmr_torch.report.html_page import Picture, Section, Table
 
 # the number of colours for names without a fixed one
 PATHS_PER_FIGURE = len(figures.SPARE_COLOURS)

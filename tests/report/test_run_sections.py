@@ -11,8 +11,9 @@ from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.evaluation import figures
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.evaluation.open_loop import compare_open_loop
-from ssmr_torch.evaluation.report import Picture, Table, write_report
-from ssmr_torch.evaluation.report_sections import (
+from ssmr_torch.models.named_structures import spectral_submanifold
+from ssmr_torch.report.html_page import Picture, Table, write_report
+from ssmr_torch.report.run_sections import (
     closed_loop_section,
     collect_sections,
     open_loop_section,
@@ -20,7 +21,6 @@ from ssmr_torch.evaluation.report_sections import (
     training_figures,
     training_section,
 )
-from ssmr_torch.models.named_structures import spectral_submanifold
 from ssmr_torch.trajectory import Trajectory
 
 TIME = 0.01 * np.arange(151)
@@ -111,7 +111,7 @@ def test_the_picture_of_the_robot_beside_a_record_is_shown_first(tmp_path):
     drawing = figures.singular_values(np.array([2.0, 1.0]), 1)
     figures.save(drawing, sorted(first.rglob("record.h5"))[1].with_name("robot.svg"))
     pictures = parts_of(collect_sections(first)[0], Picture)
-    assert "tip's path so far" in pictures[0].caption and pictures[0].figure.name == "robot.svg"
+    assert "path of its tip so far" in pictures[0].caption and pictures[0].figure.name == "robot.svg"
 
 
 def test_the_eigenvalues_of_the_plant_are_drawn_with_those_of_the_fit_as_far_as_these_reach():
@@ -199,7 +199,7 @@ def test_a_training_report_shows_scores_regressions_and_warnings(tmp_path):
         "scores": {"validation/rmse": 2e-4, "validation/diverged": 0.0, "test/rmse": None, "test/diverged": 0.5}}))
     assert section.heading == "Training: SSSR"
     assert section.parts[:2] == ["Open-loop error over the validation horizon: validation 0.2 mm; "
-                                 "test not finite (50 % of the rollouts diverged).", "Look here: few decays."]
+                                 "test not finite (50 % of the rollouts diverged).", "Warning: few decays."]
     assert section.parts[2].rows == [["closed form: drift", 100, 9, 12.0, 0.0, 5.0]]
 
 
@@ -288,6 +288,6 @@ def test_of_more_than_six_models_the_first_six_are_drawn_and_the_text_says_so(tm
 
 
 def test_a_report_is_made_without_torch():
-    code = "import sys; sys.modules['torch'] = None; import ssmr_torch.evaluation.report_sections"
+    code = "import sys; sys.modules['torch'] = None; import ssmr_torch.report.run_sections"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

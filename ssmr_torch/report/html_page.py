@@ -17,7 +17,7 @@ from markupsafe import Markup
 from ssmr_torch import __version__
 from ssmr_torch.evaluation import figures
 
-TEMPLATE = "report.html.jinja"
+TEMPLATE = "html_page.jinja"
 FILE_NAME = "report.html"
 SVG = "http://www.w3.org/2000/svg"
 HREF = "{http://www.w3.org/1999/xlink}href"
@@ -123,7 +123,7 @@ def write_report(directory: str | Path, title: str, sections: Sequence[Section],
     if not sections or not all(isinstance(section, Section) for section in sections):
         raise ValueError(f"{len(sections)} sections of the types {[type(s).__name__ for s in sections]}; "
                          "expected one Section or more")
-    environment = Environment(loader=PackageLoader("ssmr_torch", "evaluation"), autoescape=True,
+    environment = Environment(loader=PackageLoader("ssmr_torch", "report"), autoescape=True,
                               undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     footer = {**(provenance or {}), "ssmr_torch": __version__,
               "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")}

@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ssmr_torch.closed_loop import deformation
+from ssmr_torch.closed_loop.deformation import draw_robot, replayed_shapes
 from ssmr_torch.closed_loop.simulation import simulate
 from ssmr_torch.control.base import Command
-from ssmr_torch.evaluation import deformation
-from ssmr_torch.evaluation.deformation import draw_robot, replayed_shapes
 from ssmr_torch.evaluation.robot_figures import add_circles
 from ssmr_torch.plants.emulated_rig import Rig
 from ssmr_torch.plants.slow_manifold import SlowManifold
@@ -54,7 +54,7 @@ def test_the_replay_passes_through_the_recorded_positions_of_the_markers(trunk, 
 
 def test_another_plant_than_the_recorded_one_is_refused(trunk):
     record = recorded(trunk)
-    with pytest.raises(ValueError, match="the replay ends .* mm beside the record"):
+    with pytest.raises(ValueError, match="the replay ends .* mm away from the record"):
         replayed_shapes(Trunk("trunk_coarse", stiffness_scale=1.2), record, np.array([20]))
 
 
