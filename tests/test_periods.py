@@ -20,5 +20,5 @@ def test_a_long_period_is_refused_where_the_next_multiple_would_do_as_well():
 @pytest.mark.parametrize(("period", "base"), [(0.015, 0.01), (0.005, 0.01), (0.0, 0.01), (-0.01, 0.01), (0.01, 0.0),
                                               (float("nan"), 0.01), (float("inf"), 0.01)])
 def test_what_is_no_whole_multiple_is_refused_with_both_numbers_and_the_remedy(period, base):
-    with pytest.raises(ValueError, match=f"period is {period:g} s and the timestep {base:g} s.*fit at another"):
+    with pytest.raises(ValueError, match=f"period is {period:g} s, .* the timestep, {base:g} s.*fit at another"):
         whole_multiple("period", period, "the timestep", base, "fit at another")

@@ -111,7 +111,7 @@ def test_a_controller_that_is_none_is_refused(saved, tmp_path, text, message):
 def test_a_file_decides_nothing_but_settings(saved):
     model = ssmr.load(saved)
     model.designed["controller"]["observer"]["_target_"] = "os.system"
-    with pytest.raises(ValueError, match=r"name 'os.system' as _target_; expected a class or function in ssmr_torch.control"):
+    with pytest.raises(ValueError, match=r"name 'os.system' as _target_; expected a class or function in"):
         model.controller()
 
 

@@ -58,6 +58,6 @@ def test_a_designed_loop_tells_errors_speed_minutes_tuning_counts_and_margins(re
 def test_what_is_not_known_is_said_to_be_so(record):
     bare = ClosedLoopRecord(**{**vars(record), "provenance": {"period": 0.01, "task": "mine"}}).report()
     assert bare.speed is None and bare.margins == () and bare.gated is None
-    for part in ("tuned: not told", "recordings used: not told", "speed of the reference: not known",
+    for part in ("tuned: not told", "recordings used: not known", "speed of the reference: not known",
                  "gated samples: not counted", "bounds: not known"):
         assert part in repr(bare)

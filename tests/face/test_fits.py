@@ -48,9 +48,9 @@ def test_a_directory_keeps_what_the_command_keeps(data, tmp_path):
 @pytest.mark.parametrize(("kind", "options", "error", "message"), [
     ("smr", {}, ValueError, "no kind of model 'smr'; did you mean 'ssmr'"),
     ("ssmr", {"derivative": "gausian"}, ValueError, "no derivative 'gausian'; did you mean 'gaussian'"),
-    ("ssmr", {"ridge": {"dynamic": 0.1}, "state_dim": 4}, ValueError, r"ridge names \[.dynamic.\]; the regr"),
+    ("ssmr", {"ridge": {"dynamic": 0.1}, "state_dim": 4}, ValueError, r"ridge names \[.dynamic.\]; this fit has"),
     ("ssmr", {"state_dims": 4}, TypeError, "no option state_dims; did you mean model.state_dim"),
-    ("ssmr", {"fit.closed_form.rige": 0.0}, TypeError, "no fit.closed_form.rige; did you mean fit.closed_form.ridge"),
+    ("ssmr", {"fit.closed_form.rige": 0.0}, TypeError, "no key fit.closed_form.rige; did you mean fit.closed_form"),
 ])
 def test_options_that_do_not_exist_are_refused_with_the_nearest(data, kind, options, error, message):
     with pytest.raises(error, match=message):

@@ -53,7 +53,7 @@ def test_a_model_finer_than_the_recordings_is_asked_for_their_step(data):
     ({"inputs": np.zeros((0, 2))}, "inputs has shape"),
     ({"past_inputs": np.zeros((2, 2))}, r"past_inputs has shape \(2, 2\); expected \(…, 1, 2\)"),
     ({"past_inputs": None}, r"the chart of this model needs the inputs .* give past_inputs \(…, 1, 2\)"),
-    ({"window": np.zeros((3, 2, 3)), "inputs": np.zeros((2, 5, 2))}, r"batches of \[\(3,\), \(2,\)"),
+    ({"window": np.zeros((3, 2, 3)), "inputs": np.zeros((2, 5, 2))}, r"the leading shapes \[\(3,\), \(2,\)"),
     ({"window": np.full((2, 3), np.nan)}, "window contains numbers that are not finite"),
 ])
 def test_arrays_of_another_shape_are_refused_with_what_is_expected(dmd, arguments, message):

@@ -173,7 +173,7 @@ def test_a_stated_noise_gives_a_chart_that_takes_it(few, model, data):
 
 
 @pytest.mark.parametrize(("options", "error", "says"), [
-    ({"scored": ["tip"]}, ValueError, r"scored names \['tip'\], but the data have no such outputs; their outputs are \['y1', 'y2', 'y3'\]"),
+    ({"scored": ["tip"]}, ValueError, r"scored names \['tip'\], .* outputs are \['y1', 'y2', 'y3'\]"),
     ({"purpose": "fun"}, ValueError, "purpose is 'fun'; expected one of .'prediction', 'control'"),
     ({"team": 0}, ValueError, "team is 0"), ({"noise": -1e-3}, ValueError, "noise is -0.001"),
     ({"symmetry": "some"}, ValueError, "symmetry is 'some'"), ({"minutes": -1}, ValueError, "minutes is -1"),

@@ -77,7 +77,7 @@ def test_no_starts_and_no_steps_are_none():
 @pytest.mark.parametrize(("z", "inputs", "lengths", "message"), [
     ((3, 2), (3, 5, 1), None, r"\(3, 2\) and inputs of shape \(3, 5, 1\); expected \(N, 1\)"),
     ((3, 1), (2, 5, 1), None, "the same number of starts"), ((1,), (5, 1), None, "states of shape"),
-    ((3, 1), (3, 5, 2), None, r"\(N, H, 1\)"), ((3, 1), (3, 5, 1), [5, 6, 1], "between 1 and 6; expected one for each of the 3"),
+    ((3, 1), (3, 5, 2), None, r"\(N, H, 1\)"), ((3, 1), (3, 5, 1), [5, 6, 1], "between 1 and 6; expected one"),
     ((3, 1), (3, 5, 1), [5, -1, 1], "between -1 and 5"), ((3, 1), (3, 5, 1), [5, 5], r"lengths of shape \(2,\)")])
 def test_arrays_of_other_shapes_are_refused(kind, z, inputs, lengths, message):
     with pytest.raises(ValueError, match=message):

@@ -46,7 +46,7 @@ def test_adaptive_steps_give_what_one_step_of_order_four_gives():
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"width": 0}, "width is 0; expected a whole number, 1"), ({"depth": 0}, "depth is 0"), ({"width": 2.5}, "a whole number"),
+    ({"width": 0}, "width is 0; expected a whole"), ({"depth": 0}, "depth is 0"), ({"width": 2.5}, "a whole number"),
     ({"delays": 0}, "holds 2 values, fewer than the 4")])
 def test_impossible_sizes_are_refused(options, message):
     with pytest.raises(ValueError, match=message):

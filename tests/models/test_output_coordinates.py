@@ -154,7 +154,7 @@ def test_markers_of_a_mixture_within_a_mixture_multiply_their_weights():
     (lambda: small_model(PLANE), "output coordinates for 4 outputs, but the model has 2"),
     (lambda: coordinates_from_plain({"class": "ssmr_torch.models.monomials:Form"}), "is not a class of output coord"),
     (lambda: coordinates_from_plain({"class": "no_such_module:Mine"}), "no_such_module:Mine is not found here"),
-    (lambda: coordinates_from_plain({"class": "ssmr_torch.models.monomials:Mine"}), "put its module on the Python path")])
+    (lambda: coordinates_from_plain({"class": "ssmr_torch.models.monomials:Mine"}), "put its module on the Python")])
 def test_what_are_no_coordinates_is_refused_with_what_is_wrong(make, message):
     with pytest.raises(ValueError, match=message):
         make()
@@ -191,14 +191,14 @@ ARC = ConstantCurvature(((0.0, 0.3),))
 
 def test_the_model_and_its_card_say_the_coordinates_in_words(tmp_path):
     model = small_model(ARC)
-    assert "in output coordinates: bending angle and length of constant-curvature arcs, 300 mm long at rest" in repr(model)
+    assert "output coordinates: bending angle and length of constant-curvature arcs, 300 mm long at rest" in repr(model)
     loaded = artifact.load(saved(tmp_path / "arc", model))
     assert "constant-curvature arcs, 300 mm long at rest" in loaded.card["geometry"]
     assert loaded.card["model"]["reach"] == 1.0 and loaded.card["model"]["coordinates"] == json.loads(
         json.dumps(ARC.plain()))
     assert loaded.model.coordinates == ARC
     words = small_model(Mixture((ARC, Identity(2)), (0.75, 0.25), 2)).geometry
-    assert "0.75 of angle and length of" in words and "0.25 of the outputs themselves" in words
+    assert "0.75 of bending angle and length of" in words and "0.25 of the outputs themselves" in words
     assert f"Stretched of {Stretched.__module__}" in small_model(Stretched(0.1)).geometry
     assert "coordinates" not in small_model(None).geometry
 
@@ -256,7 +256,7 @@ def test_coordinates_of_a_user_are_found_again_by_their_module_and_refused_where
         assert artifact.load(at).model.coordinates == Doubled(2.0)
         assert "Doubled of my_coordinates" in artifact.load(at).card["geometry"]
     monkeypatch.delitem(sys.modules, "my_coordinates")
-    with pytest.raises(ValueError, match="my_coordinates:Doubled, is not found here .*install the package"):
+    with pytest.raises(ValueError, match="my_coordinates:Doubled is not found here .*install the package"):
         artifact.load(at)
 
 

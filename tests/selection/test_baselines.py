@@ -86,7 +86,7 @@ def test_every_kind_is_found_without_decays(kind):
 
 
 def test_a_kind_that_does_not_exist_is_refused_with_those_that_do():
-    with pytest.raises(ValueError, match="no baseline 'dnd'; there are dmd, edmd"):
+    with pytest.raises(ValueError, match="no baseline 'dnd'; the baselines are dmd, edmd"):
         choose_baseline(Trial(samples_of(SYSTEMS["dmd"])), "dnd")
 
 
@@ -101,5 +101,5 @@ def test_the_constant_among_the_observables_is_no_mode_that_fails_to_decay(facto
 
 
 def test_a_form_with_more_regressors_than_any_data_determine_is_refused():
-    with pytest.raises(ValueError, match="regressors of a window of 21 samples, 20 past inputs.*; 700 at most"):
+    with pytest.raises(ValueError, match="regressors for a window of 21 samples, 20 past inputs.*; at most 700"):
         KoopmanForm(samples_of(SYSTEMS["edmd"]), Baseline("edmd", delays=20, input_delays=20))

@@ -107,7 +107,7 @@ def test_coordinates_of_ones_own_are_taken_by_their_name():
 
 
 @pytest.mark.parametrize(("name", "says"), [
-    (f"{__name__}:Squared", r"not invertible on the recordings: .* differs from y by up to \d+ mm.*correct the method inverse"),
+    (f"{__name__}:Squared", r"not invertible on the recordings: .* differs from y by up to \d+ mm.*correct the"),
     (f"{__name__}:Shifted", "must map rest to zero, but χ.0. ≠ 0; subtract χ.0."),
     (f"{__name__}:tip_of_an_arc", "is not a class of output coordinates; derive it from"),
     ("polar", "output coordinates 'polar' are not possible with these data; give one of .'identity', 'constant_curv")])

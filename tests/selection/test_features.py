@@ -42,5 +42,5 @@ def test_products_are_with_the_actuators_state_where_there_is_one():
 
 
 def test_more_monomials_than_can_be_determined_are_refused_with_both_numbers():
-    with pytest.raises(ValueError, match=rf"861 monomials of a full_quadratic flow map; {LARGEST} at most"):
+    with pytest.raises(ValueError, match=rf"861 monomials in a full_quadratic flow map; at most {LARGEST}"):
         flow_monomials("full_quadratic", slow=38, leading=3, follows=3, memory=0, inputs=2, pole=False)
