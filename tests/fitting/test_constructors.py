@@ -80,7 +80,7 @@ def test_a_step_of_the_models_own_is_one_that_a_partial_binds(known, module, bui
     (SSMR, "model is SSMR, which cannot be called with only input_dim, output_dim, timestep: missing a required "
            r"argument: 'state_dim'; expected .* for example functools.partial\(SSMR, …\)"),
     (lambda input_dim, output_dim: None, "got an unexpected keyword argument 'timestep'"),
-    (lambda: None, "model is .*<lambda>, which cannot be called with input_dim"),
+    (lambda: None, "model is .*<lambda>, which cannot be called with only input_dim"),
     (partial(SSMR, state_dim=2, input_dims=2), r"model binds \['input_dims'\], but the parameters of SSMR are "
                                                r"\['state_dim', 'input_dim',"),
     ("SSMR", "model is 'SSMR'; expected a class or function with a readable signature"),
@@ -124,10 +124,10 @@ def test_a_fit_of_no_epochs_is_left_out_however_it_says_so(dataset, tmp_path, no
 
 
 @pytest.mark.parametrize(("changes", "message"), [
-    ({"module": lambda: None}, "module is .*<lambda>, which cannot be called with dataset alone"),
-    ({"trainer": lambda max_epochs: None}, "trainer is .*<lambda>, which cannot be called with max_epochs, callbacks"),
-    ({"fits": {"closed_form": lambda: None}}, r"fits\['closed_form'\] is .*cannot be called with the model alone"),
-    ({"fits": {"closed_form": 3}}, r"fits\['closed_form'\] is 3; expected a callable"),
+    ({"module": lambda: None}, "module is .*<lambda>, which cannot be called with only dataset"),
+    ({"trainer": lambda max_epochs: None}, "trainer is .*<lambda>, which cannot be called with only max_epochs"),
+    ({"fits": {"closed_form": lambda: None}}, r"fits\['closed_form'\] is .*cannot be called with only the model"),
+    ({"fits": {"closed_form": 3}}, r"fits\['closed_form'\] is 3; expected a class or function"),
 ])
 def test_what_cannot_be_called_is_refused_before_any_work(dataset, tmp_path, changes, message):
     options = {"model": small, "fits": {"closed_form": least_squares}, "module": short, "trainer": quiet} | changes

@@ -125,7 +125,7 @@ def test_unstable_eigenvalues_are_counted_with_the_largest():
 def test_too_few_decays_for_the_degree_are_said_to_be_so(decays, degree, doubtful):
     warnings = report_of(planar(dynamics_degree=degree), planar_runs(decays))["warnings"]
     needed = {1: 2, 2: 5, 3: 9}[degree]
-    said = f"{decays} decays for {needed} coefficients per row"
+    said = f"{decays} decays are too few for {needed} coefficients per row"
     assert doubtful == any(warning.startswith(said) for warning in warnings)
     joint = report_of(planar(dynamics_degree=degree), planar_runs(decays), regression="dynamics")["warnings"]
     assert not any("coefficients per row" in warning for warning in joint)
@@ -138,7 +138,7 @@ def test_no_decays_are_said_to_be_missing():
 @pytest.mark.parametrize("condition", [1e9, float("inf")])
 def test_an_ill_conditioned_regression_is_named(condition):
     assert only_warning(report_of(planar(), condition=condition)).startswith(
-        f"The drift regression has condition {condition:.2g}")
+        f"The drift regression has condition number {condition:.2g}")
 
 
 def test_little_captured_variance_is_said_with_the_share():
