@@ -164,7 +164,7 @@ def test_stages_are_the_steps_of_the_paper_and_reparametrization_is_one_of_them_
 @pytest.mark.parametrize(("calibration", "tangent", "chosen", "message"), [
     ("joint", "decays", "controlled", "tangent_space stage.*no decay runs.*manifold_data=all"),
     ("frozen", "all", "controlled", "manifold stage.*'drift'.*no decay runs"),
-    ("frozen", "decays", "decay", "control stage.*'control'.*no controlled runs")])
+    ("frozen", "decays", "decay", "control stage.*'control'.*there are no controlled runs")])
 def test_runs_that_a_stage_needs_and_the_data_lack_are_named(known, solve_stages, calibration, tangent, chosen,
                                                              message):
     runs = known.decays(0.01, pairs=1, finest=1e-2) + known.excited_runs(0.01, count=1, finest=1e-2)
@@ -177,7 +177,7 @@ def test_runs_that_a_stage_needs_and_the_data_lack_are_named(known, solve_stages
     ({"calibration": "both"}, "calibration is 'both'; expected one of \\('joint', 'frozen'\\)"),
     ({"input_alignment": "none"}, "input_alignment is 'none'"), ({"manifold_data": ""}, "manifold_data is ''"),
     ({"parametrization_fit": "curved"}, "parametrization_fit is 'curved'"),
-    ({"detection_delays": 0}, "detection_delays is 0, fewer than the model's 1")])
+    ({"detection_delays": 0}, "detection_delays is 0; expected at least 1")])
 def test_options_that_do_not_exist_are_refused(known, options, message):
     with pytest.raises(ValueError, match=message):
         SSMRLeastSquares(SSMR(2, 2, 4, 1), **options)

@@ -165,5 +165,5 @@ def test_closed_forms_refuse_models_of_another_family():
         PolynomialLeastSquares(NeuralODE(2, 2, 2, 1))
     with pytest.raises(ValueError, match="NeuralODE cannot start from a linear model"):
         LinearStart(NeuralODE(2, 2, 2, 1))
-    with pytest.raises(ValueError, match="ControlAugmentedSSMR is no SSMR"):
+    with pytest.raises(ValueError, match="ControlAugmentedSSMR is not an SSMR"):
         SSMRLeastSquares(ControlAugmentedSSMR(2, 2, 2, 1))

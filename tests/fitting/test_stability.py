@@ -91,7 +91,7 @@ def test_starts_within_a_run_are_followed_as_well_as_its_first():
 def test_a_model_that_was_not_fitted_is_refused():
     model = spiral(-1.0)
     model.state_scale.fill_(torch.inf)
-    with pytest.raises(ValueError, match="after its closed form"):
+    with pytest.raises(ValueError, match="after the closed-form fit"):
         GUARD.diverges(model)
 
 

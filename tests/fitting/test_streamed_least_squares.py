@@ -112,7 +112,7 @@ def test_impossible_regressions_are_refused():
     with pytest.raises(ValueError, match="no rows were accumulated"):
         StreamedRegression().solve()
     regression = streamed(torch.randn(5, 2).double(), torch.randn(5, 1).double(), 1)
-    with pytest.raises(ValueError, match="at least 2 folds; there is 1"):
+    with pytest.raises(ValueError, match="at least 2 folds, but there is 1"):
         regression.solve((0.0, 1.0))
-    with pytest.raises(ValueError, match="earlier ones had"):
+    with pytest.raises(ValueError, match="earlier batches had"):
         regression.accumulate(torch.randn(5, 3).double(), torch.randn(5, 1).double())

@@ -254,7 +254,7 @@ def test_a_refinement_follows_the_closed_form_and_keeps_its_best_epoch(dataset, 
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"epochs": 0}, "epochs 0"), ({"learning_rate": 0.0}, "learning_rate 0.0"),
+    ({"epochs": 0}, "epochs is 0"), ({"learning_rate": 0.0}, "learning_rate is 0.0"),
     ({"frozen": ["charts"]}, r"frozen names \['charts'\], but the model's parameters are \['chart', ")])
 def test_options_of_a_gradient_fit_that_mean_nothing_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
