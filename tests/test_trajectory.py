@@ -1,4 +1,4 @@
-"""Trajectories, and the file in which they are kept."""
+"""Trajectories and their HDF5 file."""
 
 import json
 import os
@@ -121,7 +121,7 @@ def test_provenance_that_json_cannot_hold_is_refused_before_anything_is_written(
     assert not list(tmp_path.iterdir())
 
 
-def test_the_arrays_of_the_caller_are_neither_changed_nor_followed_later():
+def test_a_trajectory_does_not_change_the_callers_arrays_nor_follow_their_changes():
     time, observation, inputs, rest = TIMESTEP * np.arange(5), np.ones((5, 2)), np.ones((5, 1)), np.ones(2)
     trajectory = Trajectory(time, observation, inputs)
     dataset = TrajectoryDataset([trajectory], rest, "ab", "u")
@@ -132,7 +132,7 @@ def test_the_arrays_of_the_caller_are_neither_changed_nor_followed_later():
     np.testing.assert_array_equal(dataset.rest, [1, 1])
 
 
-def test_nobody_can_write_into_a_trajectory(dataset):
+def test_the_arrays_of_a_trajectory_are_read_only(dataset):
     trajectory = dataset[0]
     for array in (trajectory.time, trajectory.observation, trajectory.input, trajectory.slice(0, 3)[0], dataset.rest):
         with pytest.raises(ValueError, match="read-only"):
@@ -195,7 +195,7 @@ def test_two_columns_of_one_name_are_refused(names):
 
 
 @pytest.mark.parametrize("asked", [{"split": "tset"}, {"kind": "decays"}])
-def test_a_split_or_kind_that_does_not_exist_is_refused_not_empty(dataset, asked):
+def test_a_split_or_kind_that_does_not_exist_is_refused(dataset, asked):
     with pytest.raises(ValueError, match="expected one of .*, or None for all"):
         dataset.select(**asked)
 
@@ -217,7 +217,7 @@ def test_outputs_are_observed_by_name_in_the_order_asked_for(dataset, stored):
         dataset.observing(["x", "tip"])
 
 
-def test_files_of_something_else_are_refused(tmp_path, stored):
+def test_files_of_another_kind_are_refused(tmp_path, stored):
     with pytest.raises(FileNotFoundError, match="no trajectory file at .*absent.h5; make one"):
         TrajectoryDataset.load(tmp_path / "absent.h5")
     text = tmp_path / "text.h5"

@@ -123,7 +123,7 @@ def test_processes_share_the_segments_once_each_and_step_equally_often(segments,
     assert sorted(torch.cat(core).tolist()) == list(range(10 * segments))
 
 
-def test_a_run_that_its_transient_and_context_use_up_is_refused_with_the_numbers():
+def test_a_run_shorter_than_its_transient_and_context_is_refused_with_the_numbers():
     SegmentDataset([run(15, kind="decay")], before=4, after=2, transient=0.08)
     with pytest.raises(ValueError, match="'short' has 14 samples; a transient of 8 samples and 6 samples of context"):
         SegmentDataset([run(20), run(14, kind="decay", name="short")], before=4, after=2, transient=0.08)

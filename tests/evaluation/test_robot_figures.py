@@ -1,4 +1,4 @@
-"""Robots are drawn in mm as a viewer sees them, with the path that their tip has made so far."""
+"""Robots are drawn in mm as a viewer sees them, with the path of their tip so far."""
 
 import subprocess
 import sys
@@ -71,7 +71,7 @@ def surface_of(axes):
     ({"plane": (0, 3)}, r"\(0, 3\)"),
     ({"plane": (1, 1)}, r"\(1, 1\)"),
 ])
-def test_what_does_not_belong_together_is_refused_with_both_numbers(changed, message, tmp_path):
+def test_arrays_that_do_not_fit_together_are_refused_with_both_numbers(changed, message, tmp_path):
     given = motion() | changed
     with pytest.raises(ValueError, match=message):
         robot_stills(**given)
@@ -135,7 +135,7 @@ def test_without_plane_reference_or_rest_there_is_one_row_with_the_path_alone():
     assert line_of(stages[0], "yours").get_color() == figures.colours(["yours"])["yours"]
 
 
-def test_what_is_near_covers_what_is_far():
+def test_near_faces_cover_far_ones():
     """A triangle, and half of it nearer to the viewer: the half is painted last, whichever the mesh lists first."""
     far = 0.02 * np.eye(3)
     near = far / 2 + 0.02 * STANDING.frame[2]
@@ -157,7 +157,7 @@ def test_the_shade_depends_on_the_light_but_not_on_the_order_of_a_triangles_node
 
 
 @pytest.mark.parametrize("up", ["+x", "+y", "+z", "-x", "-y", "-z"])
-def test_a_camera_keeps_lengths_and_hands_and_has_up_above(up):
+def test_a_camera_keeps_lengths_and_orientation_and_shows_up_above(up):
     for elevation, azimuth in ((0.0, 0.0), (35.0, -70.0), (-90.0, 200.0)):
         frame = Camera(elevation, azimuth, up).frame
         np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
@@ -172,7 +172,7 @@ def test_a_letter_in_x_and_y_is_not_mirrored_by_the_cameras_at_hand():
         assert np.linalg.det(camera.frame[:2, :2]) > 0.2 and camera.frame[0, 0] > 0.8 and camera.frame[1, 1] > 0.2
 
 
-def test_a_camera_that_cannot_be_is_refused():
+def test_an_invalid_camera_is_refused():
     with pytest.raises(ValueError, match="'z'; expected one of"):
         Camera(up="z")
     with pytest.raises(ValueError, match="nan°"):

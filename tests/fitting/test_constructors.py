@@ -72,7 +72,7 @@ def test_a_rule_for_the_dimension_is_followed_wherever_it_is_the_default(dataset
 
 @pytest.mark.parametrize(("build", "step"), [
     (Koopman, 0.005), (partial(Koopman, timestep=None), 0.005), (partial(Koopman, timestep=0.02), 0.02)])
-def test_a_step_of_the_models_own_is_one_that_a_partial_binds(known, module, build, step):
+def test_a_timestep_bound_by_a_partial_replaces_that_of_the_data(known, module, build, step):
     assert sized_model(build, known.dataset(timestep=0.005), module).timestep == step
 
 
@@ -86,7 +86,7 @@ def test_a_step_of_the_models_own_is_one_that_a_partial_binds(known, module, bui
     ("SSMR", "model is 'SSMR'; expected a class or function with a readable signature"),
     (lambda input_dim, output_dim, timestep, state_dim="gap": None, "the rule state_dim='gap'. The rule needs"),
 ])
-def test_a_callable_that_does_not_take_them_is_refused_by_name(dataset, module, build, message):
+def test_a_callable_without_the_needed_arguments_is_refused_by_name(dataset, module, build, message):
     with pytest.raises(ValueError, match=message):
         sized_model(build, dataset, module)
 
@@ -117,7 +117,7 @@ def test_fits_module_and_trainer_may_be_plain_functions_and_classes(dataset, tmp
 
 
 @pytest.mark.parametrize("none", [lambda model: GaussNewtonFit(model, epochs=0), partial(GaussNewtonFit, epochs=0)])
-def test_a_fit_of_no_epochs_is_left_out_however_it_says_so(dataset, tmp_path, none):
+def test_a_fit_with_zero_epochs_is_left_out(dataset, tmp_path, none):
     found = train(dataset, model=small, fits={"closed_form": least_squares, "refinement": none}, module=short,
                   trainer=quiet, directory=tmp_path)
     assert set(found.report) == {"closed_form"}

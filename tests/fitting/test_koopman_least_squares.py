@@ -74,7 +74,7 @@ def test_dynamic_mode_decomposition_is_that_of_pydmd(solve_stages):
     np.testing.assert_allclose(model.B.detach().numpy() * scale[:, None], theirs.B, rtol=0, atol=1e-8)
 
 
-def test_a_quadratic_map_is_followed_for_ever_where_its_observables_are_lifted_anew(solve_stages):
+def test_a_quadratic_map_is_predicted_without_error_by_edmd_with_relifting(solve_stages):
     """y⁺ = y + 0.2 (u - y - y²): no monomials propagate linearly, but ψ of degree 2 gives the next y."""
     u, y, outputs = RNG.uniform(0, 1, (400, 1)), np.zeros(1), []
     for value in u:

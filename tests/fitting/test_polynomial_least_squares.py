@@ -153,14 +153,14 @@ def test_a_flow_is_recovered_by_the_derivative_of_its_states(known, solve_stages
     assert errors["drift"] < 1e-5 and errors["control"] < 1e-4 and errors["outputs"] < 1e-9
 
 
-def test_a_map_is_fitted_at_the_sampling_time_of_the_data_alone():
+def test_a_map_is_fitted_only_at_the_sampling_time_of_the_data():
     procedure = PolynomialLeastSquares(ControlAugmentedSSMR(2, 2, 2, 1, timestep=0.02))
     procedure.sampled_every(0.02)
     with pytest.raises(ValueError, match="covers 0.02 s, but the data are sampled every 0.01 s"):
         procedure.sampled_every(0.01)
 
 
-def test_closed_forms_refuse_models_of_another_family():
+def test_closed_form_fits_refuse_models_of_another_kind():
     with pytest.raises(ValueError, match="NeuralODE is not a polynomial model"):
         PolynomialLeastSquares(NeuralODE(2, 2, 2, 1))
     with pytest.raises(ValueError, match="NeuralODE cannot start from a linear model"):

@@ -1,4 +1,4 @@
-"""`fit(data)`: a slow-fast model chosen from the data, what it refuses, and what it leaves on disk."""
+"""`fit(data)`: the choice of a slow-fast model from the data, its refusals, and the files that it writes."""
 
 import re
 import warnings
@@ -98,7 +98,7 @@ def test_the_same_data_give_the_same_choice_to_the_last_bit(few, data):
     assert all((one.module.state_dict()[name] == value).all() for name, value in two.module.state_dict().items())
 
 
-def test_silence_is_kept_and_a_notebooks_random_numbers_are_left_alone(few, data, capfd):
+def test_a_fit_without_progress_prints_nothing_and_keeps_the_random_state(few, data, capfd):
     np.random.seed(3)
     before = np.random.get_state()[1].copy()
     fitted(data)
@@ -160,7 +160,7 @@ def test_outputs_that_are_scored_are_those_of_the_trial(few, data):
     assert few[0].samples.targets == [2]
 
 
-def test_a_stated_noise_gives_a_chart_that_takes_it(few, model, data):
+def test_a_stated_noise_gives_a_chart_for_this_noise(few, model, data):
     filtered = fitted(data, noise=2e-4)
     window, inputs, past, measured = start(filtered, data)
     errors, rng = [], np.random.default_rng(0)
@@ -219,7 +219,7 @@ def alike(run):
     ({"change": alike, "decays": 0}, "all 3 runs have the same contents; record runs that differ"),
     ({"change": two_samples, "decays": 0}, "has 2 samples; a start needs 20 before and 50 after it.*longer runs"),
 ])
-def test_recordings_that_teach_nothing_are_refused_with_the_remedy(few, given, says):
+def test_recordings_without_information_are_refused_with_the_remedy(few, given, says):
     with pytest.raises(ValueError, match=says):
         fitted(ssmr.trajectories(**recorded(**given), minimum_length=2))
     assert not few
@@ -283,7 +283,7 @@ def test_test_runs_that_are_too_short_to_score_are_refused_before_any_search(few
     assert not few
 
 
-def test_a_coarser_timestep_sees_every_second_sample(few, data):
+def test_a_timestep_of_two_samples_uses_every_second_sample(few, data):
     model = fitted(data, timestep=0.04)
     assert model.timestep == model.window_timestep == 0.04 and len(few[0].samples.controlled[0][0]) == 150
     run, at = data.select("test")[0], 60
@@ -300,7 +300,7 @@ def test_a_timestep_that_is_no_multiple_of_the_recordings_is_refused(few, data):
     assert not few
 
 
-def test_what_leaves_the_training_is_said_once_a_call(model, data):
+def test_leaving_the_training_range_gives_one_warning_per_call(model, data):
     window, inputs, past, _ = start(model, data, horizon=20)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -78,7 +78,7 @@ def test_singular_values_are_those_of_all_rows(rows):
     assert (vectors[vectors.abs().argmax(0), torch.arange(7)] > 0).all()
 
 
-def test_rows_that_wait_are_factorized_once_there_are_enough_or_once_they_are_asked_for():
+def test_rows_are_factorized_when_there_are_enough_or_on_request():
     rng, regression = np.random.default_rng(0), StreamedRegression()
     batches = [torch.from_numpy(rng.normal(size=(700, 3))) for _ in range(7)]
     for number, batch in enumerate(batches):

@@ -1,4 +1,4 @@
-"""Output coordinates: exact inverses and slopes, arcs of known curvature, and what plain values make of them again."""
+"""Output coordinates: exact inverses and derivatives, arcs of known curvature, and their JSON values."""
 
 import json
 import sys
@@ -155,12 +155,12 @@ def test_markers_of_a_mixture_within_a_mixture_multiply_their_weights():
     (lambda: coordinates_from_plain({"class": "ssmr_torch.models.monomials:Form"}), "is not a class of output coord"),
     (lambda: coordinates_from_plain({"class": "no_such_module:Mine"}), "no_such_module:Mine is not found here"),
     (lambda: coordinates_from_plain({"class": "ssmr_torch.models.monomials:Mine"}), "put its module on the Python")])
-def test_what_are_no_coordinates_is_refused_with_what_is_wrong(make, message):
+def test_invalid_output_coordinates_are_refused_with_the_reason(make, message):
     with pytest.raises(ValueError, match=message):
         make()
 
 
-def test_a_class_within_a_function_is_refused_for_nobody_finds_it_again():
+def test_a_class_inside_a_function_is_refused_because_it_cannot_be_loaded():
     @dataclass(frozen=True)
     class Hidden(Identity):
         pass
@@ -189,7 +189,7 @@ def saved(directory, model):
 ARC = ConstantCurvature(((0.0, 0.3),))
 
 
-def test_the_model_and_its_card_say_the_coordinates_in_words(tmp_path):
+def test_the_model_and_its_card_describe_the_coordinates(tmp_path):
     model = small_model(ARC)
     assert "output coordinates: bending angle and length of constant-curvature arcs, 300 mm long at rest" in repr(model)
     loaded = artifact.load(saved(tmp_path / "arc", model))
@@ -203,14 +203,14 @@ def test_the_model_and_its_card_say_the_coordinates_in_words(tmp_path):
     assert "coordinates" not in small_model(None).geometry
 
 
-def test_an_artifact_of_before_coordinates_and_reach_has_neither(tmp_path, rewrite):
+def test_an_old_artifact_has_no_coordinates_and_no_reach(tmp_path, rewrite):
     at = saved(tmp_path / "old", small_model(None))
     rewrite(at, noted=lambda noted: [noted["plain"].pop(name) for name in ("coordinates", "reach")])
     model = artifact.load(at).model
     assert model.coordinates is None and model.reach == 1.0
 
 
-def test_nonlinear_terms_saturate_from_the_reach_on():
+def test_nonlinear_terms_saturate_beyond_the_reach():
     once, twice = (small_model(None, reach=reach) for reach in (1.0, 2.0))
     u = np.zeros(1)
     np.testing.assert_array_equal(twice.edge, 2 * once.state_scale)
@@ -246,7 +246,7 @@ class Doubled(OutputCoordinates):
 '''
 
 
-def test_coordinates_of_a_user_are_found_again_by_their_module_and_refused_where_it_is_missing(tmp_path, monkeypatch):
+def test_coordinates_of_a_user_are_loaded_by_their_module_and_refused_without_it(tmp_path, monkeypatch):
     (tmp_path / "my_coordinates.py").write_text(OWN)
     with monkeypatch.context() as context:
         context.syspath_prepend(tmp_path)

@@ -1,4 +1,4 @@
-"""The check finds what is wrong, says nothing of what is right, and names a remedy."""
+"""The check finds faults, gives no warning about good recordings, and names a remedy."""
 
 import json
 
@@ -23,7 +23,7 @@ def ramps(rng, seconds, step):
     return 2 / np.pi * np.arcsin(np.clip(waves(rng, seconds, step) / [2.0, 1.0], -1, 1)) * [2.0, 1.0]
 
 
-def test_clean_recordings_raise_no_alarm(robot):
+def test_good_recordings_give_no_warning(robot):
     report = ssmr.check(robot())
     assert {finding.subject for finding in report.findings} == SUBJECTS
     assert report.counts() == {"good": 9, "warning": 0, "missing": 0, "unknown": 1}
@@ -41,7 +41,7 @@ def test_clean_recordings_raise_no_alarm(robot):
     ({"inputs": waves, "loop": 4.0, "seconds": 60.0}, "friction", "warning"),
     ({"inputs": waves, "seconds": 60.0}, "friction", "good"), ({"inputs": ramps, "seconds": 60.0}, "friction", "good"),
     ({"inputs": waves, "seconds": 60.0}, "dither", "missing")])
-def test_what_is_wrong_is_found_under_its_subject(robot, changes, subject, severity):
+def test_each_fault_is_found_under_its_subject(robot, changes, subject, severity):
     finding = ssmr.check(robot(**changes))[subject]
     assert finding.severity == severity, finding
     assert severity == "good" or finding.remedy.endswith(".")
@@ -67,7 +67,7 @@ def test_the_neutral_input_is_the_one_that_was_subtracted(robot):
     assert numbers["signed_inputs"] == 2
 
 
-def test_a_test_that_is_part_of_the_training_is_told_with_its_samples(robot):
+def test_a_test_run_that_is_part_of_a_training_run_is_reported_with_its_samples(robot):
     data = robot()
     run = data.select("train", "controlled")[0]
     part = type(run)(run.time[:1200], run.observation[300:], run.input[300:], "controlled", "test", "part")

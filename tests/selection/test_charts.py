@@ -1,4 +1,4 @@
-"""Slow coordinates: what of their step is known beforehand, and that a linear system's states are found."""
+"""Charts of slow coordinates: the known part of their step, and the recovery of a linear system's states."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def error(model, samples):
 
 
 @pytest.mark.parametrize("delays", [0, 1, 4])
-def test_all_of_a_delay_charts_step_but_the_increment_of_the_newest_sample_is_known(delays):
+def test_a_delay_chart_knows_its_step_except_the_increment_of_the_newest_sample(delays):
     rng, p, m = np.random.default_rng(0), 3, 2
     directions = np.linalg.qr(rng.normal(size=(p, p)))[0]
     chart, y, u = delay_chart(delays, directions, m), rng.normal(size=(delays + 2, p)), rng.normal(size=delays * m)

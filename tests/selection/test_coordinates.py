@@ -1,4 +1,4 @@
-"""Output coordinates that the data suggest, and those of a user's own."""
+"""Output coordinates that suit the data, and output coordinates of a user."""
 
 from dataclasses import dataclass
 
@@ -102,7 +102,7 @@ class Shifted(OutputCoordinates):
         return xi - 0.01
 
 
-def test_coordinates_of_ones_own_are_taken_by_their_name():
+def test_coordinates_of_a_user_are_loaded_by_their_name():
     assert _coordinates(tip_of_an_arc(), [f"{__name__}:Cubed"]) == {f"{__name__}:Cubed": Cubed()}
 
 

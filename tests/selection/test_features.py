@@ -1,4 +1,4 @@
-"""The monomials of a flow map are those that its name promises."""
+"""Each kind of flow map has the monomials that its name says."""
 
 from math import comb
 
@@ -34,7 +34,7 @@ def test_the_velocity_enters_linearly(kind):
     assert max((sum(3 <= factor < 9 for factor in row) for row in beyond), default=0) <= 1
 
 
-def test_products_are_with_the_actuators_state_where_there_is_one():
+def test_products_use_the_state_of_the_actuator_if_there_is_one():
     for pole, acting, idle in ((True, range(9, 13), range(13, 15)), (False, range(13, 15), range(9, 13))):
         _, beyond = flow_monomials("configuration_affine", **SIZES, pole=pole)
         seen = {factor for row in beyond for factor in row}
