@@ -9,12 +9,12 @@ from ssmr_torch.experiments.entry import entry_point
 @entry_point("reproduce")
 def main(config, directory):
     from ssmr_torch.configuration import built, own_folders, plain
-    from ssmr_torch.paper.reproduction import reproduce
+    from ssmr_torch.paper.jobs import plan
+    from ssmr_torch.paper.reproduction import report, reproduce
 
-    given = plain(config, without=["executor"])
-    report, failures = reproduce(given["preset"], given["figures"] or [], directory, built(config.executor),
-                                 recordings=given["recordings"], groups=own_folders())
-    print(f"report: {report}")
+    asked = plan(plain(config.preset), config.figures, config.recordings)
+    failures = reproduce(asked, directory, built(config.executor), own_folders())
+    print(f"report: {report(directory, asked.figures)}")
     if failures:
         raise SystemExit("\n".join(["reproduce: something failed, and the same command tries it again", *failures]))
     return 0.0

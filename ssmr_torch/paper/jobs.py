@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 PERIOD = 0.02  # s, of every closed loop; a slower method is also run at a multiple
 
@@ -42,23 +43,46 @@ class Job:
     partial: bool = False
 
 
-def plan(settings: Mapping, figures: str | Sequence[str] = "all") -> list[Job]:
-    """The jobs that the chosen figures need, each after what it needs itself, slow models first; runs at longer periods
-    are added by `slower_runs` when the first ones are known.
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What a preset asks for.
 
-    settings: plain values of a preset (conf/preset). Recordings without a path, see `with_recordings`, are left out.
-    Raises ValueError for a figure, robot or method that the settings do not have.
+    figures: names of those that are shown. jobs: what they need, each after what it needs itself, slow models first.
+    every: the same for all figures of the settings.
     """
-    settings = _at_hand(settings)
-    jobs = _all_jobs(settings)
-    wanted = [name for figure in chosen(settings, figures) for name in _wanted(settings, figure)]
+
+    settings: Mapping
+    figures: tuple[str, ...]
+    jobs: tuple[Job, ...]
+    every: tuple[Job, ...]
+
+    def slower(self, solve_p99: Mapping[str, float]) -> list[Job]:
+        """`slower_runs` of those closed loops whose solve times are known, s by name."""
+        return slower_runs(self.settings, [job for job in self.every if "period" in job.about], solve_p99)
+
+
+def plan(settings: Mapping, figures: str | Sequence[str] = "all", recordings: str | None = None) -> Plan:
+    """The jobs that the chosen figures need; runs at longer periods follow when the first ones are known.
+
+    settings: plain values of a preset (conf/preset). recordings: folder from which robots that are recordings (data:
+    their reader) are read; without it they are left out.
+    Raises ValueError for a figure, robot or method that the settings do not have, and recordings that are no folder.
+    """
+    settings = _at_hand(settings, recordings)
+    every, shown = _all_jobs(settings), chosen(settings, figures)
+    return Plan(settings, tuple(shown), _needed(settings, every, shown), _needed(settings, every, settings["figures"]))
+
+
+def _needed(settings: Mapping, every: Mapping[str, Job], figures: Iterable[str]) -> tuple[Job, ...]:
+    """Those of the jobs that figures show, and what these need, in the order of all."""
+    wanted = [name for figure in figures for name in _wanted(settings, figure)]
     needed: set[str] = set()
     while wanted:
         name = wanted.pop()
         if name not in needed:
             needed.add(name)
-            wanted += jobs[name].needs
-    return [job for job in jobs.values() if job.name in needed]
+            wanted += every[name].needs
+    return tuple(job for job in every.values() if job.name in needed)
 
 
 def _all_jobs(settings: Mapping) -> dict[str, Job]:
@@ -88,7 +112,7 @@ def chosen(settings: Mapping, figures: str | Sequence[str]) -> list[str]:
     Raises ValueError for a name that the settings do not have.
     """
     available = list(settings["figures"])
-    wanted = [figures] if isinstance(figures, str) else list(figures)
+    wanted = [figures] if isinstance(figures, str) else list(figures or ())
     wanted = available if "all" in wanted else wanted
     unknown = [name for name in wanted if name not in available]
     if unknown or not wanted:
@@ -97,19 +121,18 @@ def chosen(settings: Mapping, figures: str | Sequence[str]) -> list[str]:
     return [name for name in available if name in used | set(wanted)]
 
 
-def with_recordings(settings: Mapping, path: str | None) -> dict:
-    """The settings with robots that are recordings (data: their reader) read from this folder."""
-    robots = {name: dict(its) | ({"path": path} if its.get("data") else {}) for name, its in settings["robots"].items()}
-    return dict(settings) | {"robots": robots}
-
-
-def _at_hand(settings: Mapping) -> dict:
-    """The settings without recordings whose folder nobody has given."""
-    absent = {name for name, its in settings["robots"].items() if its.get("data") and not its.get("path")}
-    figures = {name: dict(its) | {key: [robot for robot in its[key] if robot not in absent]
+def _at_hand(settings: Mapping, recordings: str | None) -> dict:
+    """The settings with robots that are recordings read from this folder, and without them where there is none."""
+    if recordings is not None and not Path(recordings).expanduser().is_dir():
+        raise ValueError(f"recordings={recordings} is no folder; expected the one with decays.mat and "
+                         "controlled_2022.mat of the real robot, or null to leave it out")
+    read = {name for name, its in settings["robots"].items() if its.get("data")}
+    place = {} if recordings is None else {"path": str(Path(recordings).expanduser().resolve())}
+    robots = {name: dict(its) | (place if name in read else {}) for name, its in settings["robots"].items()
+              if place or name not in read}
+    figures = {name: dict(its) | {key: [robot for robot in its[key] if place or robot not in read]
                                   for key in ("models", "open_loop") if key in its}
                for name, its in settings["figures"].items()}
-    robots = {name: its for name, its in settings["robots"].items() if name not in absent}
     return dict(settings) | {"robots": robots, "figures": figures}
 
 

@@ -8,7 +8,7 @@ import shutil
 import signal
 import sys
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,7 +16,7 @@ from pathlib import Path
 from ssmr_torch.paper import workflow
 from ssmr_torch.paper.executors.worker_process import SINGLE
 from ssmr_torch.paper.job_run import perform
-from ssmr_torch.paper.jobs import Job, chosen, plan, slower_runs, with_recordings
+from ssmr_torch.paper.jobs import Job, Plan
 from ssmr_torch.paper.report_sections import report_sections
 from ssmr_torch.paper.result_tables import solve_times, write_tables
 from ssmr_torch.provenance import provenance
@@ -25,18 +25,14 @@ from ssmr_torch.report.html_page import write_report
 TITLE = "Discovering dominant dynamics for nonlinear continuum robot control: what comes out"
 
 
-def reproduce(settings: Mapping, figures: str | Sequence[str], directory: Path, executor, *,
-              recordings: str | None = None, groups: Sequence[str] = ()) -> tuple[Path, list[str]]:
-    """Do what is missing below directory; the path of report.html, and a sentence for every job that failed.
+def reproduce(plan: Plan, directory: Path, executor, groups: Sequence[str] = ()) -> list[str]:
+    """Do what is missing below directory and write runs.csv and models.csv; a sentence for every job that failed.
 
-    settings: a preset (conf/preset), plain. figures: all, or names. executor: one of paper/executors.
-    recordings: folder of the paper's recordings of the real robot. groups: folders of --config-dir.
-    Raises ValueError, before any work, for a figure, robot or method that the settings do not have, a package that is
-    not installed, recordings that are no folder, and a directory in which another command works.
+    executor: one of paper/executors. groups: folders of --config-dir.
+    Raises ValueError, before any work, for a package that is not installed, and for a directory in which another
+    command works.
     """
-    settings = with_recordings(settings, _folder(recordings))
-    shown, jobs = chosen(settings, figures), plan(settings, figures)
-    for module, install in settings.get("needs", {}).items():
+    for module, install in plan.settings.get("needs", {}).items():
         if find_spec(module) is None:
             raise ValueError(f"{module} is not installed: {install}")
     os.environ.update(SINGLE)
@@ -44,32 +40,18 @@ def reproduce(settings: Mapping, figures: str | Sequence[str], directory: Path, 
         def done(job: Job) -> dict:
             return executor.submit(perform, job, str(directory), turn, groups).result()
 
-        failures = workflow.run(jobs, directory, done, workers=executor.workers)
-        slower = _slower(settings, jobs, directory)
-        failures += workflow.run([*jobs, *slower], directory, done, workers=executor.workers,
-                                 only=[job.name for job in slower]) if slower else []
-        everything = plan(settings)
-        everything += _slower(settings, everything, directory)
-        write_tables(directory, settings, workflow.up_to_date(everything, directory))
-        origin = {name: str(value) for name, value in provenance().items()}
-        return write_report(directory, TITLE, report_sections(directory, shown), origin), failures
+        def slower(known: list[Job]) -> list[Job]:
+            return plan.slower(solve_times(directory, known))
+
+        failures = workflow.run(plan.jobs, directory, done, workers=executor.workers, more=slower)
+        write_tables(directory, plan.settings, workflow.up_to_date(plan.every, directory, slower))
+    return failures
 
 
-def _slower(settings: Mapping, jobs: Sequence[Job], directory: Path) -> list[Job]:
-    """The closed loops that are to be run once more at a longer period."""
-    runs = workflow.up_to_date(jobs, directory)
-    return slower_runs(settings, [job for job in runs if "period" in job.about], solve_times(directory, runs))
-
-
-def _folder(recordings: str | None) -> str | None:
-    """Its absolute path, which jobs read from wherever they run."""
-    if recordings is None:
-        return None
-    found = Path(recordings).expanduser().resolve()
-    if not found.is_dir():
-        raise ValueError(f"recordings={recordings} is no folder; expected the one with decays.mat and "
-                         "controlled_2022.mat of the real robot, or null to leave it out")
-    return str(found)
+def report(directory: Path, figures: Sequence[str]) -> Path:
+    """Write report.html of these figures from what lies in the directory; its path."""
+    origin = {name: str(value) for name, value in provenance().items()}
+    return write_report(directory, TITLE, report_sections(directory, figures), origin)
 
 
 @contextmanager

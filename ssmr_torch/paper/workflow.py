@@ -86,31 +86,43 @@ class Progress:
 
 
 def run(jobs: Sequence[Job], directory: Path, perform: Callable[[Job], dict], *, workers: int = 1,
-        only: Sequence[str] | None = None) -> list[str]:
+        more: Callable[[list[Job]], list[Job]] = lambda done: []) -> list[str]:
     """Do what is not up to date; a sentence for each job that failed, and one for those that were left out.
 
     jobs: with all that they need. perform: does one job, from a thread, and returns {"failed": a sentence} or what is
-    noted of it. workers: jobs at a time. only: names of those that are asked for; None for all.
+    noted of it. workers: jobs at a time. more: further jobs, from those that are then up to date.
     Raises ValueError for a job that needs one which is not among the jobs.
     """
+    failures = _dispatch(jobs, jobs, directory, perform, workers)
+    further = more(up_to_date(jobs, directory))
+    return failures + (_dispatch([*jobs, *further], further, directory, perform, workers) if further else [])
+
+
+def _dispatch(jobs: Sequence[Job], asked: Sequence[Job], directory: Path, perform: Callable, workers: int) -> list[str]:
+    names = [job.name for job in asked]
     try:
         control = TaskControl(_tasks(jobs, directory, perform))
     except InvalidTask as error:
         raise ValueError(str(error)) from error
-    control.process(None if only is None else list(only))
-    progress = Progress([job.name for job in jobs] if only is None else only)
+    control.process(names)
+    progress = Progress(names)
     Runner(_notes(directory), progress, continue_=True, num_process=workers).run_all(control.task_dispatcher())
     return progress.sentences()
 
 
-def up_to_date(jobs: Sequence[Job], directory: Path) -> list[Job]:
-    """Those whose product is there and is what they would make again; jobs: each after all that it needs."""
+def up_to_date(jobs: Sequence[Job], directory: Path,
+               more: Callable[[list[Job]], list[Job]] = lambda done: []) -> list[Job]:
+    """Those whose product is there and is what they would make again, and of `more` as in `run`.
+
+    jobs: each after all that it needs.
+    """
     notes, tasks = _notes(directory), {task.name: task for task in _tasks(jobs, directory, lambda job: {})}
     done: dict[str, Job] = {}
     for job in jobs:
         if done.keys() >= set(job.needs) and notes.get_status(tasks[job.name], tasks).status == "up-to-date":
             done[job.name] = job
-    return list(done.values())
+    further = more(list(done.values()))
+    return up_to_date([*jobs, *further], directory) if further else list(done.values())
 
 
 def _notes(directory: Path) -> Dependency:

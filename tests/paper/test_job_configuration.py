@@ -6,10 +6,9 @@ import shutil
 import uuid
 
 import pytest
-from omegaconf import OmegaConf
 
 from ssmr_torch import configuration as composition
-from ssmr_torch.configuration import composed
+from ssmr_torch.configuration import composed, plain
 from ssmr_torch.paper import job_configuration as configured
 from ssmr_torch.paper.job_configuration import configuration
 from ssmr_torch.paper.jobs import Job, plan
@@ -47,8 +46,8 @@ def conf(tmp_path, monkeypatch, done):
     configured._text.cache_clear()
 
 
-def jobs() -> list[Job]:
-    return plan(OmegaConf.to_container(composed("reproduce", ["preset=miniature"]).preset, resolve=True))
+def jobs() -> tuple[Job, ...]:
+    return plan(plain(composed("reproduce", ["preset=miniature"]).preset)).jobs
 
 
 def changed(done, file, line: str) -> set[str]:

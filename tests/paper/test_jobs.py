@@ -4,7 +4,7 @@ from copy import deepcopy
 
 import pytest
 
-from ssmr_torch.paper.jobs import Job, chosen, plan, quoted, slower_runs, with_recordings
+from ssmr_torch.paper.jobs import Job, chosen, plan, quoted, slower_runs
 
 SETTINGS = {
     "name": "test",
@@ -36,16 +36,16 @@ def names(jobs: list[Job]) -> list[str]:
 
 
 def runs(figures) -> list[Job]:
-    return [job for job in plan(SETTINGS, figures) if "period" in job.about]
+    return [job for job in plan(SETTINGS, figures).jobs if "period" in job.about]
 
 
 def test_an_open_loop_map_needs_the_data_and_all_models_of_its_robot_the_slow_ones_first():
-    assert names(plan(SETTINGS, "map")) == [
+    assert names(plan(SETTINGS, "map").jobs) == [
         "data/trunk", "models/trunk/neural ODE", "models/trunk/DMD", "models/trunk/SSMR", "open_loop/trunk"]
 
 
 def test_the_delay_study_needs_one_closed_loop_and_its_model_alone():
-    jobs = plan(SETTINGS, "delays")
+    jobs = plan(SETTINGS, "delays").jobs
     assert names(jobs) == ["data/trunk", "models/trunk/SSMR", "runs/letters/trunk/SSMR/S/0-20ms", "delays/trunk"]
     assert jobs[-1].steps[0].files["record"] == "runs/letters/trunk/SSMR/S/0-20ms/record.h5"
 
@@ -57,7 +57,7 @@ def test_a_closed_loop_is_planned_once_where_the_delay_study_and_its_figure_want
 
 def test_a_figure_brings_those_that_it_uses():
     assert chosen(SETTINGS, "pareto") == ["letters", "pareto"]
-    assert names(plan(SETTINGS, "pareto")) == names(plan(SETTINGS, "letters"))
+    assert names(plan(SETTINGS, "pareto").jobs) == names(plan(SETTINGS, "letters").jobs)
 
 
 def recorded() -> dict:
@@ -68,18 +68,17 @@ def recorded() -> dict:
     return settings
 
 
-def test_recordings_are_trained_on_and_scored_where_they_are_and_nothing_is_collected():
-    jobs = {job.name: job for job in plan(with_recordings(recorded(), "/a b"), "map")}
+def test_recordings_are_trained_on_and_scored_where_they_are_and_nothing_is_collected(tmp_path):
+    jobs = {job.name: job for job in plan(recorded(), "map", str(tmp_path)).jobs}
     assert [name for name in jobs if name.startswith("data/")] == ["data/trunk"]
     for name in ("models/real/DMD", "open_loop/real"):
-        assert {"data=diamond_hardware", "data.path='/a b'"} <= set(jobs[name].steps[0].overrides)
+        assert {"data=diamond_hardware", f"data.path='{tmp_path}'"} <= set(jobs[name].steps[0].overrides)
         assert not jobs[name].steps[0].files
         assert not any("plant" in override for override in jobs[name].steps[0].overrides)
 
 
 def test_without_a_folder_of_recordings_the_plan_is_that_of_the_other_robots():
-    for settings in (recorded(), with_recordings(recorded(), None)):
-        assert plan(settings) == plan(SETTINGS)
+    assert plan(recorded()).jobs == plan(SETTINGS).jobs
 
 
 def test_every_seed_of_an_obstacle_figure_is_another_set_and_methods_left_out_are_not_run():
@@ -91,13 +90,13 @@ def test_every_seed_of_an_obstacle_figure_is_another_set_and_methods_left_out_ar
     settings = deepcopy(SETTINGS)
     settings["figures"]["obstacles"]["tasks"]["margin"] = {
         "control": ["task=stanford_obstacles", "controller.margins=[1]"], "seeds": 2, "without": ["neural ODE"]}
-    margin = [job for job in plan(settings, "obstacles") if job.about.get("task") == "margin"]
+    margin = [job for job in plan(settings, "obstacles").jobs if job.about.get("task") == "margin"]
     assert names(margin) == [f"runs/obstacles/trunk/SSMR/margin/{seed}-20ms" for seed in range(2)]
     assert "controller.margins=[1]" in margin[0].steps[0].overrides
 
 
 def test_the_bench_is_between_plant_and_controller_but_no_model_knows_of_it():
-    data, model, run, _ = plan(SETTINGS, "hardware")
+    data, model, run, _ = plan(SETTINGS, "hardware").jobs
     for job in (data, run):
         assert {"plant=diamond", "plant.mesh='a b\\'s.vtu'", "rig=emulated_bench", "plant.stiffness_scale=0.9"} <= set(
             job.steps[0].overrides)
@@ -109,7 +108,7 @@ def test_the_bench_is_between_plant_and_controller_but_no_model_knows_of_it():
 
 
 def test_all_is_every_figure_and_each_job_comes_after_what_it_needs():
-    everything = plan(SETTINGS)
+    everything = plan(SETTINGS).jobs
     assert len(everything) == 2 + 4 + (1 + 6 + 6 + 2) + 1
     before: set[str] = set()
     for job in everything:
@@ -118,7 +117,7 @@ def test_all_is_every_figure_and_each_job_comes_after_what_it_needs():
 
 
 def test_scores_of_the_open_loop_alone_are_made_of_those_models_that_there_are():
-    assert names([job for job in plan(SETTINGS) if job.partial]) == ["open_loop/trunk"]
+    assert names([job for job in plan(SETTINGS).jobs if job.partial]) == ["open_loop/trunk"]
 
 
 @pytest.mark.parametrize(("figures", "message"), [("fig13", "figures is 'fig13'; expected all or some of table"),

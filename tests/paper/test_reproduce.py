@@ -13,11 +13,10 @@ from pathlib import Path
 
 import h5py
 import pytest
-from omegaconf import OmegaConf
 
 from ssmr_torch.closed_loop.record import ClosedLoopRecord
-from ssmr_torch.configuration import composed
-from ssmr_torch.paper.jobs import plan, with_recordings
+from ssmr_torch.configuration import composed, plain
+from ssmr_torch.paper.jobs import plan
 
 ROOT = Path(__file__).resolve().parents[2]
 CONF, SCRIPT = ROOT / "conf", ROOT / "experiments" / "reproduce.py"
@@ -189,9 +188,9 @@ def test_bad_input_ends_in_one_clear_message_before_any_work(tmp_path, arguments
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_job_of_every_preset_composes(preset, tmp_path):
-    settings = OmegaConf.to_container(composed("reproduce", [f"preset={preset}"]).preset, resolve=True)
+    settings = plain(composed("reproduce", [f"preset={preset}"]).preset)
     assert settings["name"] == preset
-    for job in plan(with_recordings(settings, str(tmp_path))):
+    for job in plan(settings, recordings=str(tmp_path)).jobs:
         for step in job.steps if job.about.get("seed", 0) == 0 else ():
             composed(step.entry, step.overrides)
 

@@ -111,8 +111,19 @@ def test_two_workers_do_two_jobs_at_a_time_and_no_more(work):
     assert not run(JOBS, work.directory, perform, workers=2)
 
 
-def test_only_those_that_are_asked_for_are_done_and_what_they_need(work):
-    assert work.again(only=["run"])[0] == ["data", "models/c", "run"]
+def test_more_jobs_follow_from_what_is_done_and_no_failed_one_is_tried_twice(work):
+    work.failing = {"models/c": "no runs to train on"}
+    further = Job("slower", "slower/m.json", (Step("control"),), ("models/a b",))
+    known = []
+
+    def more(done: list[Job]) -> list[Job]:
+        known.append([job.name for job in done])
+        return [further]
+
+    done, said = work.again(more=more)
+    assert known == [["data", "models/a b"]] and done == ["data", "models/a b", "scores", "slower"]
+    assert len(said) == 2
+    assert further in up_to_date(JOBS, work.directory, more) and further not in up_to_date(JOBS, work.directory)
 
 
 def test_what_depends_on_something_out_of_date_is_not_up_to_date(work):
