@@ -34,7 +34,7 @@ HOMES = {
     "hydra": ["configuration.py"], "omegaconf": ["configuration.py"],
     "h5py": ["trajectory.py", "closed_loop/record.py", "commissioning/directory.py", "data/*",
              "collection/resumption.py", "paper/report_sections.py"],
-    "yaml": ["data/recording_card.py", "commissioning/card.py"],
+    "yaml": ["data/recording_card.py", "commissioning/robot_card.py"],
     "matplotlib": ["evaluation/*figures.py"],
     "jinja2": ["evaluation/report.py"], "markupsafe": ["evaluation/report.py"],
     "meshio": ["plants/finite_element/mesh_files.py"], "fontTools": ["tasks/symbols.py"],

@@ -42,7 +42,7 @@ class Columns:
 
 
 @dataclass(frozen=True)
-class Card:
+class RecordingCard:
     """What a reader must know of a user's files; the fields are the keys of the YAML file, see docs/data.md.
 
     rest: vector in the unit of length, "last sample of decays" or "median of resting samples".
@@ -117,19 +117,19 @@ class Card:
                              "(interval_range)")
 
 
-def read_card(path: str | Path) -> Card:
+def read_recording_card(path: str | Path) -> RecordingCard:
     """The card in a YAML file.
 
     Raises FileNotFoundError, or ValueError for a file that is not YAML (naming the line), a key that is unknown
     (naming the nearest one) or missing, and a value of the wrong kind.
     """
-    return described(path, Card, "docs/data.md", columns=Columns, units=Units)
+    return described(path, RecordingCard, "docs/data.md", columns=Columns, units=Units)
 
 
 def described(path: str | Path, noun, page: str, **parts):
     """The dataclass `noun` whose fields are the keys of a YAML file; `parts`: fields that are dataclasses themselves.
 
-    page: where the keys are explained. Raises as `read_card`.
+    page: where the keys are explained. Raises as `read_recording_card`.
     """
     path = Path(path)
     if not path.is_file():

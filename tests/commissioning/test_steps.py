@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from bench_robot import A, B, C
+from linear_robot import A, B, C
 
-from ssmr_torch.commissioning.card import fitted, read_bench_card
 from ssmr_torch.commissioning.channels import admissible_share, channel_faults, channels_said, expectations
 from ssmr_torch.commissioning.circles import circle_about, reach, tracked_outputs
-from ssmr_torch.commissioning.guard import GuardedPlant
 from ssmr_torch.commissioning.noise import measure_noise, noise_faults, noise_said
+from ssmr_torch.commissioning.robot_card import fitted, read_robot_card
+from ssmr_torch.commissioning.safety_guard import GuardedPlant
 from ssmr_torch.commissioning.steps import measure_steps
 from ssmr_torch.plants.slow_manifold import SlowManifold
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
@@ -27,7 +27,7 @@ def test_a_card_takes_from_the_robot_what_it_leaves_open_and_reads_itself_again(
     whole = fitted(card(tracked=[], expected={}), robot(bounds=(0.2, 1.0)))
     assert whole.neutral == [0.2, 0.2] and whole.settle == 0.0 and whole.outputs == list(OUTPUTS)
     (tmp_path / "card.yaml").write_text(whole.text())
-    assert read_bench_card(tmp_path / "card.yaml") == whole
+    assert read_robot_card(tmp_path / "card.yaml") == whole
     assert fitted(card(neutral=[0.5, 0.0]), robot()).settle == 3.0
 
 
@@ -52,9 +52,9 @@ def test_limits_that_make_no_sense_are_refused(card, changes):
 def test_a_key_that_the_card_does_not_know_is_named_with_the_nearest_one(tmp_path):
     (tmp_path / "card.yaml").write_text("displacement_limit: 0.1\nrate_limits: 1.0\n")
     with pytest.raises(ValueError, match="did you mean 'rate_limit'"):
-        read_bench_card(tmp_path / "card.yaml")
+        read_robot_card(tmp_path / "card.yaml")
     with pytest.raises(FileNotFoundError, match="docs/commissioning.md"):
-        read_bench_card(tmp_path / "nothing.yaml")
+        read_robot_card(tmp_path / "nothing.yaml")
 
 
 def test_noise_drift_and_missing_samples_at_rest_are_measured(guarded, robot):

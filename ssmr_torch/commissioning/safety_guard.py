@@ -9,7 +9,7 @@ import numpy as np
 
 from ssmr_torch.collection.excitation import neutral_input
 from ssmr_torch.collection.plans import described_plant
-from ssmr_torch.commissioning.card import BenchCard
+from ssmr_torch.commissioning.robot_card import RobotCard
 from ssmr_torch.plants.base import Plant, PlantSheet, finite_vector
 from ssmr_torch.trajectory import Trajectory
 
@@ -34,7 +34,7 @@ class GuardedPlant(PlantSheet):
     `settle` s. `step` and `reset` raise SafetyStop; the run so far is in `run`.
     """
 
-    def __init__(self, plant: Plant, card: BenchCard, share: float = 1.0, noisy: bool = False, bridged: bool = False):
+    def __init__(self, plant: Plant, card: RobotCard, share: float = 1.0, noisy: bool = False, bridged: bool = False):
         if not 0 < share <= 1:
             raise ValueError(f"share is {share}; expected more than 0 and at most 1, of the way to the bounds")
         self.plant, self.card, self.share = plant, card, float(share)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ssmr_torch.commissioning.card import fitted
-from ssmr_torch.commissioning.guard import GuardedPlant, SafetyStop
+from ssmr_torch.commissioning.robot_card import fitted
+from ssmr_torch.commissioning.safety_guard import GuardedPlant, SafetyStop
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The card of a robot on the bench: what it may do, and what it must never do."""
+"""The robot card: what a robot may do, and what it must never do."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ LIMITS = ("displacement_limit", "rate_limit", "blind_limit", "ramp")  # may chan
 
 
 @dataclass(frozen=True)
-class BenchCard:
-    """What the person at the bench says of a robot; the fields are the keys of the YAML file, see
+class RobotCard:
+    """What a person says of a robot before it moves; the fields are the keys of the YAML file, see
     docs/commissioning.md.
 
     displacement_limit: m, of every output.   rate_limit: m/s, of every output. Beyond either everything stops.
@@ -74,14 +74,14 @@ class BenchCard:
         return yaml.safe_dump(asdict(self), sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
 
 
-def read_bench_card(path: str | Path) -> BenchCard:
+def read_robot_card(path: str | Path) -> RobotCard:
     """The card in a YAML file. Raises FileNotFoundError, and ValueError that names the key or the line that is
     wrong.
     """
-    return described(path, BenchCard, PAGE)
+    return described(path, RobotCard, PAGE)
 
 
-def fitted(card: BenchCard, plant: Plant) -> BenchCard:
+def fitted(card: RobotCard, plant: Plant) -> RobotCard:
     """The card with everything that it leaves to the robot.
 
     Raises ValueError where card and robot disagree: names, bounds wider than the robot's, a neutral input that is out
@@ -106,14 +106,14 @@ def fitted(card: BenchCard, plant: Plant) -> BenchCard:
                    bounds=bounds.tolist(), neutral=neutral.tolist(), settle=float(settle))
 
 
-def changed_keys(before: BenchCard, now: BenchCard) -> list[str]:
+def changed_keys(before: RobotCard, now: RobotCard) -> list[str]:
     """What of two fitted cards differs and decides what was measured: everything but the limits."""
     one, other = asdict(before), asdict(now)
     return [f"{key} was {one[key]}, now it is {other[key]}" for key in one
             if key not in LIMITS and one[key] != other[key]]
 
 
-def _bounds(card: BenchCard, plant: Plant) -> np.ndarray:
+def _bounds(card: RobotCard, plant: Plant) -> np.ndarray:
     own = np.asarray(plant.input_bounds, dtype=np.float64)
     if card.bounds is None:
         return own
@@ -124,7 +124,7 @@ def _bounds(card: BenchCard, plant: Plant) -> np.ndarray:
     return bounds
 
 
-def _neutral(card: BenchCard, plant: Plant, bounds: np.ndarray) -> np.ndarray:
+def _neutral(card: RobotCard, plant: Plant, bounds: np.ndarray) -> np.ndarray:
     if card.neutral is None:
         return np.clip(neutral_input(plant), bounds[0], bounds[1])
     neutral = _array("neutral", card.neutral, bounds[0].shape, f"{bounds.shape[1]} numbers, one for each input")
