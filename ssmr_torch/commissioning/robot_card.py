@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-import yaml
+from pydantic import AfterValidator, Field, FiniteFloat
 
 from ssmr_torch.collection.excitation import neutral_input
-from ssmr_torch.data.recording_card import described
+from ssmr_torch.data.card_file import Card, not_as_described, read_card
 from ssmr_torch.plants.base import Plant
-from ssmr_torch.settings import non_negative, positive
 
 PAGE = "docs/commissioning.md"
 SETTLED = 3.0  # s under a neutral input that is not the one that the robot rests under by itself
 LIMITS = ("displacement_limit", "rate_limit", "blind_limit", "ramp")  # may change while a robot is commissioned
 
 
-@dataclass(frozen=True)
-class RobotCard:
+def _two_or_none(outputs: list[str]) -> list[str]:
+    if outputs and (len(outputs) != 2 or len(set(outputs)) != 2):
+        raise not_as_described()
+    return outputs
+
+
+class RobotCard(Card):
     """What a person says of a robot before it moves; the fields are the keys of the YAML file, see
     docs/commissioning.md.
 
@@ -37,27 +41,19 @@ class RobotCard:
     Raises ValueError for numbers that make no sense.
     """
 
-    displacement_limit: float
-    rate_limit: float
-    name: str = ""
-    outputs: list = field(default_factory=list)
-    inputs: list = field(default_factory=list)
-    bounds: list | None = None
-    neutral: list | None = None
-    tracked: list = field(default_factory=list)
-    expected: dict = field(default_factory=dict)
-    blind_limit: float = 0.25
-    ramp: float = 1.0
-    settle: float | None = None
-
-    def __post_init__(self):
-        for key, unit in (("displacement_limit", "m"), ("rate_limit", "m/s"), ("blind_limit", "s")):
-            positive(key, getattr(self, key), unit)
-        non_negative("ramp", self.ramp, "s")
-        if self.settle is not None:
-            non_negative("settle", self.settle, "s")
-        if self.tracked and (len(self.tracked) != 2 or len(set(self.tracked)) != 2):
-            raise ValueError(f"tracked is {self.tracked}; expected two different outputs, or none")
+    displacement_limit: FiniteFloat = Field(gt=0, description="a positive, finite number in m")
+    rate_limit: FiniteFloat = Field(gt=0, description="a positive, finite number in m/s")
+    name: str = Field("", description="text")
+    outputs: list[str] = Field([], description="a list of names")
+    inputs: list[str] = Field([], description="a list of names")
+    bounds: list | None = Field(None, description="two rows of numbers, lowest and highest, one for each input")
+    neutral: list | None = Field(None, description="a list of numbers, one for each input")
+    tracked: Annotated[list[str], AfterValidator(_two_or_none)] = Field(
+        [], description="two different outputs, or none")
+    expected: dict[str, str] = Field({}, description="keys and values, as {left: +tip_x}")
+    blind_limit: FiniteFloat = Field(0.25, gt=0, description="a positive, finite number in s")
+    ramp: FiniteFloat = Field(1.0, ge=0, description="a finite number in s, 0 or more")
+    settle: FiniteFloat | None = Field(None, ge=0, description="a finite number in s, 0 or more")
 
     @property
     def range(self) -> np.ndarray:
@@ -69,16 +65,10 @@ class RobotCard:
         """The neutral input (m,) as an array; of a card that was `fitted`."""
         return np.array(self.neutral, dtype=np.float64)
 
-    def text(self) -> str:
-        """The card as YAML."""
-        return yaml.safe_dump(asdict(self), sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
-
 
 def read_robot_card(path: str | Path) -> RobotCard:
-    """The card in a YAML file. Raises FileNotFoundError, and ValueError that names the key or the line that is
-    wrong.
-    """
-    return described(path, RobotCard, PAGE)
+    """The robot card in a YAML file. Raises as `card_file.read_card`."""
+    return read_card(path, RobotCard, PAGE)
 
 
 def fitted(card: RobotCard, plant: Plant) -> RobotCard:
@@ -102,13 +92,13 @@ def fitted(card: RobotCard, plant: Plant) -> RobotCard:
         if not isinstance(value, str) or value[:1] not in ("+", "-"):
             raise ValueError(f"expected names the output {value!r}; it needs a sign, such as +{plant.output_names[0]}")
     _refuse_unknown("expected, its outputs,", [value[1:] for value in card.expected.values()], plant.output_names)
-    return replace(card, name=plant.name, outputs=list(plant.output_names), inputs=list(plant.input_names),
-                   bounds=bounds.tolist(), neutral=neutral.tolist(), settle=float(settle))
+    return card.changed(name=plant.name, outputs=list(plant.output_names), inputs=list(plant.input_names),
+                        bounds=bounds.tolist(), neutral=neutral.tolist(), settle=float(settle))
 
 
 def changed_keys(before: RobotCard, now: RobotCard) -> list[str]:
     """What of two fitted cards differs and decides what was measured: everything but the limits."""
-    one, other = asdict(before), asdict(now)
+    one, other = before.model_dump(), now.model_dump()
     return [f"{key} was {one[key]}, now it is {other[key]}" for key in one
             if key not in LIMITS and one[key] != other[key]]
 

@@ -176,10 +176,6 @@ def _known_units(units: Mapping[str, str] | None) -> dict[str, str]:
     if not isinstance(units, Mapping | None):
         raise ValueError(f"units is {units!r}; expected a mapping, such as "
                          "{'length': 'mm', 'input': 'N', 'time': 's'}")
-    unknown = [key for key in units or {} if key not in ("length", "input", "time")]
-    if unknown:
-        raise ValueError(f"units has the unknown key {unknown[0]!r}; expected length, input, time, such as "
-                         "{'length': 'mm', 'input': 'N', 'time': 's'}")
     return dict(units or {})
 
 

@@ -1,4 +1,4 @@
-"""A linear robot with its card, a short excitation, and stand-ins for what takes long: design and a person."""
+"""A known robot with its card, a short excitation, and stand-ins for what takes long: design and a person."""
 
 import json
 import sys
@@ -16,7 +16,7 @@ from ssmr_torch.control.base import Command
 
 sys.path.append(str(Path(__file__).parent))
 
-from linear_robot import A, B, C, LinearRobot  # noqa: E402
+from known_robot import A, B, C, KnownRobot  # noqa: E402
 
 RUNS = (ControlledRun("smooth-train", Dithered(SmoothRandom(share=0.5)), 6.0, repeats=2),
         ControlledRun("smooth-test", SmoothRandom(share=0.5), 4.0, split="test"))
@@ -53,7 +53,7 @@ class Inverse:
 
     def __init__(self, task, bounds):
         self.task, self.bounds = task, bounds
-        self.gain = (-C @ np.linalg.solve(A, B))[list(task.columns(LinearRobot.output_names))]
+        self.gain = (-C @ np.linalg.solve(A, B))[list(task.columns(KnownRobot.output_names))]
 
     def reset(self):
         pass
@@ -64,12 +64,12 @@ class Inverse:
 
 @pytest.fixture
 def robot():
-    return LinearRobot
+    return KnownRobot
 
 
 @pytest.fixture
 def card():
-    """The card of the linear robot, with changes."""
+    """The card of the known robot, with changes."""
     return lambda **changes: RobotCard(**{"displacement_limit": 0.05, "rate_limit": 2.0, "tracked": ["x", "y"],
                                           "expected": {"left": "+x", "right": "+y"}} | changes)
 

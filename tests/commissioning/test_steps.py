@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from linear_robot import A, B, C
+from known_robot import A, B, C
 
 from ssmr_torch.commissioning.channels import admissible_share, channel_faults, channels_said, expectations
 from ssmr_torch.commissioning.circles import circle_about, reach, tracked_outputs

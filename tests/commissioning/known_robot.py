@@ -9,7 +9,7 @@ B = 0.01 * np.array([[30.0, 0.0], [10.0, 0.0], [0.0, 40.0], [0.0, 12.0]])
 C = np.array([[1.0, 0.2, 0.05, 0.0], [0.0, 0.05, 1.0, 0.1], [0.25, -0.3, 0.2, 0.1]])
 
 
-class LinearRobot:
+class KnownRobot:
     """dx/dt = A x + B u(t − delay), y = C x + noise; left moves x, right moves y.
 
     wiring: (2, 2), from commands to what the robot feels: a permutation, a sign or a dead channel.   bounds: of both.
@@ -17,7 +17,7 @@ class LinearRobot:
     drift: m per sample.
     """
 
-    name, timestep, input_unit = "linear robot", 0.01, "1"
+    name, timestep, input_unit = "known robot", 0.01, "1"
     output_names, input_names = ("x", "y", "z"), ("left", "right")
     rest = np.array([0.0, 0.0, 0.1])
 
