@@ -35,6 +35,7 @@ HOMES = {
     "h5py": ["trajectory.py", "closed_loop/record.py", "commissioning/directory.py", "data/*",
              "collection/resumption.py", "paper/report_sections.py"],
     "yaml": ["data/card_file.py"],
+    "pandas": ["data/column_files.py", "data/csv_text.py"],
     "pydantic": ["data/card_file.py", "data/recording_card.py", "data/units.py", "commissioning/robot_card.py"],
     "pydantic_core": ["data/card_file.py"],
     "matplotlib": ["evaluation/*figures.py"],
@@ -285,7 +286,7 @@ PLANTED = [
         "from importlib import import_module\nimport_module(f'torch.{name}')")],
     ("each library has its rooms", "control/a.py", "import importlib\nimportlib.import_module('daqp')",
      "control/a.py imports daqp"),
-    ("each library has its rooms", "control/a.py", "import pandas", "pandas has no home"),
+    ("each library has its rooms", "control/a.py", "import polars", "polars has no home"),
     ("each library has its rooms", "control/a.py", "x = 1", "nothing in wire/link.py imports zmq"),
     *[("rooms keep apart", room, code, f"{room} imports {name}") for room, code, name in (
         ("models/a.py", "from ssmr_torch.control import mpc", "ssmr_torch.control"),

@@ -1,29 +1,35 @@
-"""Named columns of numbers from CSV and HDF5 files; raw, in their own units."""
+"""Named columns of numbers from CSV, HDF5 and Parquet files; raw, in their own units."""
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import h5py
 import numpy as np
 
+from ssmr_torch.data.csv_text import read_csv
+from ssmr_torch.extras import require
+
 HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf")
-EMPTY = ("", "nan", "na", "null")
+PARQUET_SUFFIXES = (".parquet", ".pq")
 
 
 def read_columns(path: str | Path) -> dict[str, np.ndarray]:
-    """Columns by name, (T,) each, from a CSV file with one header row or the datasets of an HDF5 file.
+    """Columns by name, (T,) each, from a CSV file with one header row (`csv_text.read_csv`), the datasets of an HDF5
+    file, or the columns of numbers of a Parquet file.
 
     An HDF5 dataset "y" of shape (T, p) gives the columns y_0 … y_{p-1}. Empty cells become NaN.
     Raises FileNotFoundError, or ValueError when the file is empty, ragged or holds text where numbers belong.
+    ModuleNotFoundError for a Parquet file without the extra parquet.
     """
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"no file {path}; check the folder and the name")
     if path.stat().st_size == 0:
         raise ValueError(f"{path.name} is empty; expected a header and rows of numbers")
-    return _read_hdf5(path) if path.suffix.lower() in HDF5_SUFFIXES else _read_csv(path)
+    if path.suffix.lower() in HDF5_SUFFIXES:
+        return _read_hdf5(path)
+    return _read_parquet(path) if path.suffix.lower() in PARQUET_SUFFIXES else read_csv(path)
 
 
 def pick(columns: dict[str, np.ndarray], names, path: str | Path) -> np.ndarray:
@@ -47,34 +53,6 @@ def open_hdf5(path: Path) -> h5py.File:
         raise ValueError(f"{path.name} cannot be read ({error}); copy or record it again") from error
 
 
-def _read_csv(path: Path) -> dict[str, np.ndarray]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path.name} is not a text file ({error.reason}); expected CSV") from error
-    lines = text.splitlines()
-    header = lines[0] if lines else ""
-    rows = csv.reader(lines, delimiter=max(",;\t", key=header.count))
-    names = [name.strip() for name in next(rows, [])]
-    if not names or any(_is_number(name) for name in names):
-        raise ValueError(f"{path.name}: the first row is {header[:60]!r}; expected the names of the columns")
-    if len(set(names)) < len(names):
-        raise ValueError(f"{path.name}: the header names a column twice, {names}; give each its own name")
-    table = [row for row in rows if row]
-    if not table:
-        raise ValueError(f"{path.name} has a header but no rows; expected one row per sample")
-    for index, row in enumerate(table):
-        if len(row) != len(names):
-            raise ValueError(f"{path.name}: row {index} (from 0) has {len(row)} cells, the header "
-                             f"{len(names)}")
-    try:
-        values = np.array(table, dtype=np.float64)
-    except ValueError:
-        values = np.array([[_number(cell, path, row, name) for cell, name in zip(cells, names)]
-                           for row, cells in enumerate(table)])
-    return dict(zip(names, values.T))
-
-
 def _read_hdf5(path: Path) -> dict[str, np.ndarray]:
     if not h5py.is_hdf5(path):
         raise ValueError(f"{path.name} is not an HDF5 file; copy or record it again, or name a CSV file .csv")
@@ -94,18 +72,16 @@ def _read_hdf5(path: Path) -> dict[str, np.ndarray]:
     return columns
 
 
-def _number(cell: str, path: Path, row: int, name: str) -> float:
-    if cell.strip().lower() in EMPTY:
-        return np.nan
-    if not _is_number(cell):
-        raise ValueError(f"{path.name}: row {row} (from 0), column {name!r} holds {cell!r}; expected a "
-                         "number")
-    return float(cell)
+def _read_parquet(path: Path) -> dict[str, np.ndarray]:
+    import pandas
 
-
-def _is_number(cell: str) -> bool:
+    require("pyarrow")
     try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+        frame = pandas.read_parquet(path)
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path.name} cannot be read ({error}); copy or record it again, or name a CSV file "
+                         ".csv") from error
+    numbers = frame.select_dtypes(["number", "bool"])
+    if numbers.empty:
+        raise ValueError(f"{path.name} holds no rows of numbers; its columns are {list(frame.columns)}")
+    return {str(name): column.to_numpy(dtype=np.float64, na_value=np.nan) for name, column in numbers.items()}
