@@ -50,6 +50,7 @@ benchmark: .venv/installed
 	$(BIN)/python experiments/benchmarks/control_endurance.py
 	$(BIN)/python experiments/benchmarks/control_hostile.py
 	$(BIN)/python experiments/benchmarks/plant_step.py
+	$(BIN)/python experiments/benchmarks/libraries.py
 
 clean:
 	rm -rf .venv outputs/*

@@ -206,7 +206,7 @@ def quadratic_program(size: int = 40, rows: int = 20) -> dict:
     root = rng.normal(size=(size, size))
     program = QuadraticProgram(root @ root.T + np.eye(size), rng.normal(size=size), -np.ones(size), np.ones(size),
                                rng.normal(size=(rows, size)), -np.ones(rows), np.ones(rows))
-    solvers = [solver_named(name, size, rows) for name in ("proxqp", "qpsolvers:proxqp")]
+    solvers = [solver_named("proxqp", size, rows), solver_named("qpsolvers:proxqp", size, rows, eps_abs=1e-9)]
     (own, one), (time, other) = (timed(lambda solver=solver: [solver.solve(program) for _ in range(20)][-1])
                                  for solver in solvers)
     return row("quadratic program", "ProxQP's workspace", "qpsolvers", (own / 20, time / 20),

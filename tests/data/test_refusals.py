@@ -93,7 +93,7 @@ def test_a_test_run_that_is_part_of_the_training_is_refused():
 def test_numbers_that_are_not_finite_never_become_a_run():
     given = runs()
     given[0]["y"][7, 1] = np.nan
-    with pytest.raises(ValueError, match="not finite, the first is sample 7"):
+    with pytest.raises(ValueError, match="not finite, the first one is sample 7"):
         dataset(given)
 
 
