@@ -50,7 +50,7 @@ class RobotCard(Card):
     neutral: list | None = Field(None, description="a list of numbers, one for each input")
     tracked: Annotated[list[str], AfterValidator(_two_or_none)] = Field(
         [], description="two different outputs, or none")
-    expected: dict[str, str] = Field({}, description="keys and values, as {left: +tip_x}")
+    expected: dict[str, str] = Field({}, description="inputs with the signed output that each moves, as {left: +tip_x}")
     blind_limit: FiniteFloat = Field(0.25, gt=0, description="a positive, finite number in s")
     ramp: FiniteFloat = Field(1.0, ge=0, description="a finite number in s, 0 or more")
     settle: FiniteFloat | None = Field(None, ge=0, description="a finite number in s, 0 or more")
