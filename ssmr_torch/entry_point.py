@@ -7,9 +7,11 @@ import functools
 import logging
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import hydra
+from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.types import RunMode
@@ -52,6 +54,12 @@ def entry_point(name: str):
         return hydra.main(version_base="1.3", config_path=str(folder()), config_name=name)(task)
 
     return decorate
+
+
+def offer(group: str, options: Mapping[str, Mapping]) -> None:
+    """Offer options of a group that no file holds: GROUP=NAME puts the keys of the option at the top level."""
+    for name, node in options.items():
+        ConfigStore.instance().store(group=group, name=name, package="_global_", node=dict(node))
 
 
 def not_given(error: Exception) -> str | None:

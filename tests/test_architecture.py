@@ -18,8 +18,8 @@ PACKAGE = ROOT / "ssmr_torch"
 HOMES = {
     "numpy": ["*"], "scipy": ["*"], "tqdm": ["*"],
     "torch": ["models/*", "fitting/*", "data/datamodule.py", "data/windows.py", "deployment/torch_program.py",
-              "paper/delay_study.py"],
-    "lightning": ["data/datamodule.py", "fitting/*"],
+              "paper/delay_study.py", "benchmarks/*"],
+    "lightning": ["data/datamodule.py", "fitting/*", "benchmarks/fit.py"],
     "sklearn": ["fitting/streamed_least_squares.py"],
     "numba": ["control/*", "models/batch_kernel.py", "plants/finite_element/compiled.py", "plants/pressure_arm.py",
               "plants/slow_manifold.py"],
@@ -27,10 +27,11 @@ HOMES = {
     "soromox": ["plants/isupport.py", "plants/planar_hsa.py"],
     "jax": ["plants/isupport.py", "plants/planar_hsa.py", "plants/soromox_robot.py"],
     "proxsuite": ["control/solvers/proxqp.py"], "daqp": ["control/solvers/daqp.py"],
-    "qpsolvers": ["control/solvers_of_qpsolvers.py"],
+    "qpsolvers": ["control/solvers_of_qpsolvers.py", "benchmarks/comparison.py"],
     "safetensors": ["deployment/artifact.py"],
     "onnx": ["deployment/onnx_program.py"], "onnxruntime": ["deployment/onnx_program.py"],
-    "casadi": ["deployment/casadi_program.py"],
+    "casadi": ["deployment/casadi_program.py", "benchmarks/other_solvers.py"],
+    "acados_template": ["benchmarks/other_solvers.py"],
     "hydra": ["configuration.py", "entry_point.py"], "omegaconf": ["configuration.py", "entry_point.py"],
     "h5py": ["trajectory.py", "closed_loop/record.py", "commissioning/directory.py", "data/*",
              "collection/resumption.py", "paper/report_sections.py"],
@@ -42,7 +43,7 @@ HOMES = {
 }
 # What a room never imports; * is every room, and a room may import itself. command.py is what starts the experiments.
 NEVER = {
-    "*": ["experiments", "paper", "conf"],
+    "*": ["experiments", "paper", "conf", "benchmarks"],
     "models": ["plants", "control", "data", "fitting", "deployment", "evaluation", "wire", "tasks", "closed_loop"],
     "plants": ["models", "control", "data", "fitting", "deployment", "evaluation", "tasks", "closed_loop"],
     "control": ["plants", "data", "fitting", "deployment", "evaluation", "wire", "tasks", "closed_loop",
@@ -55,8 +56,9 @@ NEVER = {
 EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "control"]}
 # Who touches files; all else takes and returns arrays.
 TOUCHES_FILES = [
-    "trajectory.py", "deployment/artifact.py", "deployment/checkpoint_twin.py", "closed_loop/record.py",
-    "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py", "commissioning/directory.py",
+    "trajectory.py", "benchmarks/*", "deployment/artifact.py", "deployment/checkpoint_twin.py", "closed_loop/record.py",
+    "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py",
+    "commissioning/directory.py",
     "controller_design/report.py", "defaults.py", "data/*",
     "deployment/deploy.py", "fitting/by_kind.py", "fitting/checkpoints.py", "evaluation/*figures.py",
     "evaluation/report.py", "evaluation/report_sections.py",

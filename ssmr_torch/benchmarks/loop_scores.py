@@ -1,4 +1,4 @@
-"""What a closed loop of designed.py is judged by."""
+"""Errors, losses and times by which designed.py judges one closed loop."""
 
 from __future__ import annotations
 

@@ -1,28 +1,21 @@
 """The pieces of the benchmark of designed controllers: disturbed plants, what is drawn, what runs are judged by."""
 
-import importlib
 import json
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from ssmr_torch import configuration
+from ssmr_torch.benchmarks import designed, planes, robots_under_test
+from ssmr_torch.benchmarks.disturbed_plant import Disturbed
+from ssmr_torch.benchmarks.loop_scores import measured
 from ssmr_torch.control.designed import DesignedController
 from ssmr_torch.data.arrays import trajectories
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.plants.emulated_rig import Rig
 
-BENCHMARKS = Path(__file__).parents[1] / "experiments" / "benchmarks"
 OSCILLATORS = {"decays": 6, "validation_decays": 0, "test_decays": 0, "decay_duration": 1.0}
-
-
-@pytest.fixture
-def benchmark(monkeypatch):
-    """A module of the benchmarks by its name."""
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    return importlib.import_module
 
 
 @pytest.fixture
@@ -40,14 +33,14 @@ def driven(plant, inputs, seed=0):
     return np.array([plant.reset(seed), *(plant.step(u) for u in inputs)])
 
 
-def test_undisturbed_it_is_the_plant_to_the_last_bit(benchmark, linear, inputs):
-    disturbed = benchmark("disturbed").Disturbed(linear)
+def test_undisturbed_it_is_the_plant_to_the_last_bit(linear, inputs):
+    disturbed = Disturbed(linear)
     assert isinstance(disturbed, Plant)
     np.testing.assert_array_equal(driven(disturbed, inputs), driven(linear, inputs))
 
 
-def test_delay_lag_gain_offset_and_play_act_as_their_equations_say(benchmark, linear, inputs):
-    disturbed = benchmark("disturbed").Disturbed(linear, delay=0.02, lag=0.03, gain=0.8, offset=0.1, play=0.05)
+def test_delay_lag_gain_offset_and_play_act_as_their_equations_say(linear, inputs):
+    disturbed = Disturbed(linear, delay=0.02, lag=0.03, gain=0.8, offset=0.1, play=0.05)
     found, share = driven(disturbed, inputs), np.exp(-1 / 3)
     changed = np.clip(inputs * [0.8, 1, 1, 1] + [0.06, 0, 0, 0], 0.0, 0.6)
     rest = np.array([0.06, 0.0, 0.0, 0.0])
@@ -62,8 +55,8 @@ def test_delay_lag_gain_offset_and_play_act_as_their_equations_say(benchmark, li
     np.testing.assert_allclose(found, driven(linear, np.array(applied)), atol=1e-15)
 
 
-def test_it_goes_on_from_its_state_as_it_went_on_before(benchmark, linear, inputs):
-    disturbed = benchmark("disturbed").Disturbed(Rig(linear, noise_std=1e-4), delay=0.03, lag=0.02, play=0.1,
+def test_it_goes_on_from_its_state_as_it_went_on_before(linear, inputs):
+    disturbed = Disturbed(Rig(linear, noise_std=1e-4), delay=0.03, lag=0.02, play=0.1,
                                                  outlier=0.02, missing=0.3)
     driven(disturbed, inputs[:30], seed=5)
     state = disturbed.state
@@ -72,8 +65,8 @@ def test_it_goes_on_from_its_state_as_it_went_on_before(benchmark, linear, input
     np.testing.assert_array_equal([disturbed.step(u) for u in inputs[30:]], after)
 
 
-def test_outliers_come_once_a_second_and_gaps_as_often_as_told(benchmark, linear):
-    sensors = benchmark("disturbed").Disturbed(linear, outlier=0.02, missing=0.1)
+def test_outliers_come_once_a_second_and_gaps_as_often_as_told(linear):
+    sensors = Disturbed(linear, outlier=0.02, missing=0.1)
     seen = driven(sensors, np.zeros((2000, 4)), seed=1)
     far = np.abs(seen) > 0.019
     missing = np.isnan(seen).all(axis=1)
@@ -83,16 +76,16 @@ def test_outliers_come_once_a_second_and_gaps_as_often_as_told(benchmark, linear
     np.testing.assert_array_equal(driven(sensors, np.zeros((2000, 4)), seed=1), seen)
 
 
-def test_what_is_seen_counts_from_the_origin_that_was_recorded(benchmark, linear):
-    moved = benchmark("disturbed").Disturbed(linear, rest=linear.rest - 0.003)
+def test_what_is_seen_counts_from_the_origin_that_was_recorded(linear):
+    moved = Disturbed(linear, rest=linear.rest - 0.003)
     np.testing.assert_allclose(moved.reset(), 0.003)
     np.testing.assert_allclose(moved.displacement, 0.003)
 
 
 @pytest.mark.parametrize("wrong", [{"delay": 0.015}, {"lag": -1.0}, {"missing": 1.0}, {"gain": np.nan}], ids=str)
-def test_disturbances_that_make_no_sense_are_refused(benchmark, linear, wrong):
+def test_disturbances_that_make_no_sense_are_refused(linear, wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
-        benchmark("disturbed").Disturbed(linear, **wrong)
+        Disturbed(linear, **wrong)
 
 
 def recorded(places):
@@ -106,20 +99,19 @@ def recorded(places):
                         controlled=[(0.01, curved(rows), np.sin(np.arange(len(rows)))[:, None])])
 
 
-def test_the_plane_is_the_widest_output_and_the_one_that_is_no_function_of_it(benchmark):
+def test_the_plane_is_the_widest_output_and_the_one_that_is_no_function_of_it():
     rng = np.random.default_rng(0)
     x, y = rng.uniform(-0.03, 0.03, 40), rng.uniform(-0.002, 0.002, 40)
     x[:2], y[:2] = [-0.03, 0.03], [-0.002, 0.002]
-    plane = benchmark("planes").plane_of(recorded(np.stack([x, y], axis=1)))
+    plane = planes.plane_of(recorded(np.stack([x, y], axis=1)))
     assert plane.outputs == ("y1", "y2")
     np.testing.assert_allclose(plane.half, [0.03, 0.002], rtol=0.15)  # y leans on x by chance
     np.testing.assert_allclose(plane.centre, [x.sum() / 41, 0.0], atol=3e-4)
     with pytest.raises(ValueError, match="have 3 decays and 3 outputs; expected 4 decays"):
-        benchmark("planes").plane_of(recorded(np.stack([x, y], axis=1)[:3]))
+        planes.plane_of(recorded(np.stack([x, y], axis=1)[:3]))
 
 
-def test_a_drawing_goes_from_rest_through_the_shape_and_stands_still_at_the_end(benchmark):
-    planes = benchmark("planes")
+def test_a_drawing_goes_from_rest_through_the_shape_and_stands_still_at_the_end():
     plane = planes.Plane(("x", "y"), (0.0, 0.0, 2.0), (0.001, 0.0), (0.02, 0.004), 0.025)
     for shape in planes.SHAPES:
         task = planes.drawing(plane, shape, lap=2.5, laps=2.0, share=0.4)
@@ -140,8 +132,7 @@ def record_of(error, task, bench):
                            violation=np.full(len(error), np.nan), provenance={"period": 0.01})
 
 
-def test_a_loop_is_lost_when_it_is_far_beyond_the_static_floor_for_a_third_of_a_second(benchmark, bench):
-    measured = benchmark("judgement").measured
+def test_a_loop_is_lost_when_it_is_far_beyond_the_static_floor_for_a_third_of_a_second(bench):
     task, controller = SimpleNamespace(duration=4.0, obstacles=()), SimpleNamespace(
         counts={"gated": 3}, fallbacks={}, input_bounds=np.array([[0.0], [1.0]]))
     error = np.full((401, 2), 1e-3 / np.sqrt(2))
@@ -161,9 +152,9 @@ def test_a_loop_is_lost_when_it_is_far_beyond_the_static_floor_for_a_third_of_a_
 
 
 @pytest.fixture
-def miniature(benchmark, bench, monkeypatch):
+def miniature(bench, monkeypatch):
     """The benchmark with a linear robot and a design that knows it."""
-    robots, designed = benchmark("robots_under_test"), benchmark("designed")
+    robots = robots_under_test
     model = bench.oscillators(degree=1, control_degree=0)
 
     class Linear(robots.Robot):
@@ -200,18 +191,20 @@ def miniature(benchmark, bench, monkeypatch):
     return designed, designs
 
 
-def test_one_command_makes_every_row_once_and_a_page_with_the_worst_by_name(miniature, tmp_path, capsys):
+def test_every_row_is_made_once_and_a_page_and_the_worst_by_name_beside_it(miniature, tmp_path):
     designed, designs = miniature
-    asked = [str(tmp_path), "robots=linear", "parts=nominal,disturbed", "seeds=1"]
-    designed.main(asked)
+    asked = {"folder": str(tmp_path), "robots": ["linear"], "parts": ["nominal", "disturbed"], "seeds": 1}
+    *table, place, worst = designed.rows(**asked)
+    assert len(table) == 3 and table[0]["robot"] == "linear" and not table[0]["lost"]
+    assert table[0]["RMSE, % of reach"] < 2.0 and place.endswith("linear.md")
     rows = json.loads((tmp_path / "results.json").read_text())
     runs = [key for key in rows if key.split("/")[1] in ("nominal", "disturbed")]
     assert len(runs) == 3 and len(designs) == 2
     assert all(rows[key]["rmse"] < 0.02 * rows[key]["reach"] for key in runs if "/nominal/auto" in key)
     page = (tmp_path / "linear.md").read_text()
     assert "| auto | late | designed |" in page and "Nothing" not in page
-    assert "worst nominal robot and task: linear, circle, 1 s a lap, 40 % by auto" in capsys.readouterr().out
-    designed.main(asked)
+    assert "worst nominal robot and task: linear, circle, 1 s a lap, 40 % by auto" in worst
+    list(designed.rows(**asked))
     assert len(designs) == 2
     assert json.loads((tmp_path / "results.json").read_text()) == rows
 
@@ -223,16 +216,16 @@ def test_what_fails_is_a_row_with_its_reason_and_is_tried_again(miniature, tmp_p
     def fails(*given, **named):
         raise ValueError("the data cannot tell")
 
-    asked = [str(tmp_path), "robots=linear", "parts=nominal", "seeds=1"]
+    asked = {"folder": str(tmp_path), "robots": ["linear"], "parts": ["nominal"], "seeds": 1}
     monkeypatch.setattr(designed.ssmr, "design", fails)
-    designed.main(asked)
+    list(designed.rows(**asked))
     assert "the data cannot tell" in (tmp_path / "linear.md").read_text()
     monkeypatch.setattr(designed.ssmr, "design", works)
-    designed.main(asked)
+    list(designed.rows(**asked))
     assert "cannot tell" not in (tmp_path / "linear.md").read_text()
 
 
-@pytest.mark.parametrize("wrong", [[], ["f", "robots=snake"], ["f", "parts=all"], ["f", "speed=2"]], ids=str)
-def test_what_the_command_line_does_not_know_ends_it_with_what_it_knows(benchmark, wrong):
-    with pytest.raises(SystemExit, match="robots"):
-        benchmark("designed").choice(wrong)
+@pytest.mark.parametrize("wrong", [{"robots": ["snake"]}, {"parts": ["all"]}], ids=str)
+def test_robots_and_parts_that_are_none_are_refused_with_those_that_are(wrong):
+    with pytest.raises(ValueError, match="unknown: (snake|all); robots are tendon_chain, .*parts nominal, far"):
+        list(designed.rows(**wrong))

@@ -1,24 +1,23 @@
-"""Letters among random circles: `python experiments/benchmarks/obstacles.py [--plant tendon_chain] [--sets 100]`.
+"""Letters among random circles, which no set of circles may make the robot touch.
 
 A robot is recorded and a model fitted to it; a controller with an observer of the output's disturbance is tightened by
 what it mispredicts on the recorded test runs. It then draws ETH through each set of twenty circles, which the letters
 lead into; the circles are 3 mm apart, so there is always a way round. Where the robot truly was is judged at 1 ms. One
-line for each set that was violated, and the summary. Exit status 1 where one was.
+row per set, and the summary as a remark. It fails where a set was violated.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from control_step import machine
-from robots import kept
 
 from ssmr_torch import configuration
+from ssmr_torch.benchmarks.robots import kept
+from ssmr_torch.benchmarks.table import BenchmarkFailed
 from ssmr_torch.closed_loop.simulation import simulate
 from ssmr_torch.control.kalman_observers import KalmanObserver
 from ssmr_torch.control.mpc import ModelPredictiveController
@@ -32,7 +31,6 @@ from ssmr_torch.trajectory import Trajectory
 
 # Of the inputs in units of their range: ten times the default, as on the finite-element trunk.
 INPUT_WEIGHT = 2250.0
-PROGRESS = 10
 
 
 class Outcome(NamedTuple):
@@ -88,51 +86,38 @@ def summary(outcomes: list[Outcome]) -> str:
             f"step {1e3 * values[:, 5].max():.3g} ms")
 
 
-def options() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--plant", default="slow_manifold", help="its name in conf/plant")
-    parser.add_argument("--folder", type=Path, help="keep the recording here, and read it from there the next time")
-    parser.add_argument("--kind", default="auto", help="kind of model that is fitted")
-    parser.add_argument("--artifact", help="folder of a model to take instead of fitting one")
-    parser.add_argument("--sets", type=int, default=100, help="sets of circles")
-    parser.add_argument("--first", type=int, default=0, help="seed of the first set")
-    parser.add_argument("--half-size", type=float, default=0.020, help="of the letters, m")
-    parser.add_argument("--duration", type=float, default=10.0, help="of the drawing, s")
-    parser.add_argument("--quantile", type=float, default=0.99, help="of the errors that give the margins; 0: none")
-    parser.add_argument("--noise", type=float, default=3e-5, help="of every measured value, m")
-    parser.add_argument("--chart", action="store_true", help="the state from the chart alone, without an observer")
-    parser.add_argument("--process-noise", type=float, default=1e-3, help="of the observer, see KalmanObserver")
-    parser.add_argument("--hard", action="store_true", help="constraints that the inputs can keep are kept")
-    return parser
+def rows(*, plant: str = "slow_manifold", folder: str | None = None, kind: str = "auto", model: str | None = None,
+         sets: int = 100, first: int = 0, half_size: float = 0.020, duration: float = 10.0, quantile: float = 0.99,
+         noise: float = 3e-5, chart: bool = False, process_noise: float = 1e-3,
+         hard: bool = False) -> Iterator[dict | str]:
+    """One row per set of circles, remarks with the margins and the summary.
 
-
-def main(arguments: list[str] | None = None) -> int:
-    """One line per violated set and a summary; 1 where a set was violated."""
-    given = options().parse_args(arguments)
+    plant: its name in conf/plant.   folder: keeps the recording, and is read the next time.   kind: of the model that
+    is fitted.   model: folder of an artifact to take instead.   first: seed of the first set.   half_size: of the
+    letters, m.   duration: s.   quantile: of the errors that give the margins; 0: none.   noise: of every measured
+    value, m.   chart: the state from the chart alone, without an observer.   process_noise: of the observer, see
+    `KalmanObserver`.   hard: constraints that the inputs can keep are kept.
+    Raises `BenchmarkFailed` after the last set where one was violated.
+    """
     configuration.register()
-    data = kept(given.plant, given.folder)
-    plant = configuration.built(configuration.composed("collect", [f"plant={given.plant}"]).plant)
-    model = artifact.load(given.artifact).model if given.artifact else fit(data, given.kind)
-    runs = [noisy(run.read(), given.noise) for run in data.select("test", kind="controlled")] if given.quantile else []
-    observer = None if given.chart else partial(KalmanObserver, process_noise=given.process_noise)
-    settings = {"hard_constraints": given.hard, "observer": observer} \
-        | ({"margin_quantile": given.quantile} if given.quantile else {})
-    print(machine("numba", "proxsuite"))
+    data = kept(plant, None if folder is None else Path(folder))
+    robot = configuration.built(configuration.composed("collect", [f"plant={plant}"]).plant)
+    learned = artifact.load(model).model if model else fit(data, kind)
+    runs = [noisy(run.read(), noise) for run in data.select("test", kind="controlled")] if quantile else []
+    settings = {"hard_constraints": hard, "observer": None if chart else partial(KalmanObserver,
+                                                                                process_noise=process_noise)}
+    settings |= {"margin_quantile": quantile} if quantile else {}
     outcomes: list[Outcome] = []
-    for seed in range(given.first, given.first + given.sets):
-        task = letters(seed, given.half_size, given.duration, plant.output_names[:2])
-        controller = designed(model, plant, task, runs, **settings)
+    for seed in range(first, first + sets):
+        task = letters(seed, half_size, duration, robot.output_names[:2])
+        controller = designed(learned, robot, task, runs, **settings)
         if not outcomes and controller.settings.margins is not None:
-            print("margins: " + ", ".join(f"{1e3 * margin:.3g}" for margin in controller.settings.margins) + " mm")
-        outcomes.append(outcome(seed, plant, controller, task, given.noise))
-        if outcomes[-1].depth > 0:
-            print(f"set {seed}: inside {100 * outcomes[-1].inside:.3g} % of the time, by "
-                  f"{1e3 * outcomes[-1].depth:.3g} mm", flush=True)
-        if len(outcomes) % PROGRESS == 0 and len(outcomes) < given.sets:
-            print(f"  {len(outcomes)} of {given.sets} sets", flush=True)
-    print(summary(outcomes))
-    return int(any(one.depth > 0 for one in outcomes))
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+            yield "margins: " + ", ".join(f"{1e3 * margin:.3g}" for margin in controller.settings.margins) + " mm"
+        outcomes.append(one := outcome(seed, robot, controller, task, noise))
+        yield {"set": seed, "inside, %": 100 * float(one.inside), "depth, mm": 1e3 * float(one.depth),
+               "RMSE, mm": 1e3 * float(one.rmse), "fallbacks": int(one.fallbacks),
+               "planned violation, mm": 1e3 * float(one.planned), "slowest step, ms": 1e3 * float(one.slowest)}
+    yield summary(outcomes)
+    violated = sum(one.depth > 0 for one in outcomes)
+    if violated:
+        raise BenchmarkFailed(f"{violated} of {sets} sets were violated; expected none")

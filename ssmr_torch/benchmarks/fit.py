@@ -1,19 +1,16 @@
-"""CPU time of fits and of evaluation: `python experiments/benchmarks/fit.py [trajectories.h5]` (one thread).
+"""CPU time of fits and of evaluation, each beside the time that was aimed at.
 
-Without a file it records the data first, `ssmr collect plant=trunk_coarse excitation=trunk`: 40 decays of 5 s and 60 s
-of controlled motion, three markers, eight cables. The closed form of the SSMR is that of the slow-manifold trunk as
-well, 40 decays and 8,700 controlled samples. Fits go through Lightning as in training. One row a figure: the first
-call, the median of the others, and that relative to the time that was aimed at.
+Without recordings it records them first, as `ssmr collect plant=trunk_coarse excitation=trunk` does: 40 decays of 5 s
+and 60 s of controlled motion, three markers, eight cables. The closed form of the SSMR is that of the slow-manifold
+trunk as well, 40 decays and 8,700 controlled samples. Fits go through Lightning as in training. One row a figure: the
+first call, the median of the others, and that relative to the time that was aimed at.
 """
 
 from __future__ import annotations
 
 import logging
-import os
-import platform
-import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from statistics import median
 from time import process_time
@@ -103,18 +100,12 @@ def figures(trunk: TrajectoryDataset, manifold: TrajectoryDataset):
         cpu(lambda: compare_open_loop({"SSMR": model}, tested)) for _ in range(4)]
 
 
-def main() -> None:
+def rows(*, data: str | None = None) -> Iterator[dict]:
+    """One row per figure, CPU s on one thread.   data: .h5 of the trunk's trajectories; None records them."""
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     warnings.filterwarnings("ignore")
     torch.set_num_threads(1)
-    trunk = (TrajectoryDataset.load(sys.argv[1]) if len(sys.argv) > 1
-             else recorded("plant=trunk_coarse", "excitation=trunk"))
-    print(f"{platform.machine()}, {os.cpu_count()} cores, 1 thread; CPU s\n"
-          f"{'figure':52}{'first':>8}{'median':>8}{'goal':>8}{'of it':>8}")
+    trunk = recorded("plant=trunk_coarse", "excitation=trunk") if data is None else TrajectoryDataset.load(data)
     for name, goal, times in figures(trunk, recorded()):
         usual = median(times[1:] or times)
-        print(f"{name:52}{times[0]:8.2f}{usual:8.2f}{goal:8.2f}{usual / goal:8.2f}", flush=True)
-
-
-if __name__ == "__main__":
-    main()
+        yield {"figure": name, "first, s": times[0], "median, s": usual, "goal, s": goal, "of the goal": usual / goal}

@@ -15,8 +15,8 @@ from abc import ABC, abstractmethod
 from collections import Counter
 
 import numpy as np
-from control_step import PAPER
 
+from ssmr_torch.benchmarks.tracking_instance import PAPER
 from ssmr_torch.control.base import Command
 
 PERIOD, OUTPUT_WEIGHT, INPUT_WEIGHT = PAPER.period, PAPER.output_weight, PAPER.input_weight
@@ -35,10 +35,10 @@ QP_OPTIONS = {"hpipm": {}, "qrqp": {"print_iter": False, "print_header": False, 
 
 
 class Unavailable(Exception):
-    """A contender that cannot run here, with the reason."""
+    """A solver that cannot run here, with the reason."""
 
 
-class Contender(ABC):
+class OtherController(ABC):
     """Receding horizon around another solver: plans at every control step, holds the input in between.
 
     A plan that fails is replaced by the last one, shifted, and counted in `fallbacks`. Subclasses plan.
@@ -87,7 +87,7 @@ class Contender(ABC):
         """The first input of the last plan, shifted; it shifts that plan once more."""
 
 
-class CasADi(Contender):
+class CasADi(OtherController):
     """Multiple shooting in x = (v_0, s_1, v_1, s_2, …), v = u / range, s = z / state_scale.
 
     plugin, options: of casadi.nlpsol. gauss_newton: hand over the Hessian of the cost, which is constant, instead of
@@ -181,7 +181,7 @@ def casadi_rti(*arguments, compiled: bool = False, qp: str | None = None, **opti
                   compiled=compiled)
 
 
-class Acados(Contender):
+class Acados(OtherController):
     """acados in real-time iteration: explicit Runge-Kutta of order four, Gauss-Newton, HPIPM partially condensed.
 
     Raises Unavailable where acados_template is not installed.

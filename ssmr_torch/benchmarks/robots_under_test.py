@@ -1,4 +1,4 @@
-"""The robots of designed.py: how each is recorded, what it draws, and what may be changed about it afterwards."""
+"""The robots of designed.py: how each is recorded, what it draws, and what is changed about it afterwards."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from disturbed import Disturbed
-from planes import Plane, drawing, plane_of
-
 from ssmr_torch import configuration
+from ssmr_torch.benchmarks.disturbed_plant import Disturbed
+from ssmr_torch.benchmarks.planes import Plane, drawing, plane_of
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.tasks.references import Task
 from ssmr_torch.trajectory import TrajectoryDataset
@@ -84,7 +83,7 @@ class Robot:
 
 
 class EmulatedBench(Robot):
-    """The diamond on a bench that is late, slow, noisy and rubs, seen at its tip, under the tasks of conf/task."""
+    """The diamond on the emulated bench, seen at its tip, under the tasks of conf/task."""
 
     OUTPUTS = ("tip_x", "tip_y", "tip_z")
     TASKS = ("slow_eight", "slow_circle", "stanford_obstacles")
@@ -121,8 +120,8 @@ def _loaded(kilograms: float, *, at: float | None = None) -> Condition:
 OFFSET = Condition("payload", changes={"offset": 0.05},
                    note="the plant has none: an offset of the first input by 5 % of its range in its place")
 
-_BENCH = EmulatedBench(
-    "bench", ("plant=diamond", "rig=emulated_bench", "plant.young=157.5e3", "rig.outputs=[tip_x,tip_y,tip_z]"),
+EMULATED_BENCH = EmulatedBench(
+    "emulated_bench", ("plant=diamond", "rig=emulated_bench", "plant.young=157.5e3", "rig.outputs=[tip_x,tip_y,tip_z]"),
     (Condition("+ 20 ms delay", changes={"delay": 0.02}), Condition("+ 20 ms lag", changes={"lag": 0.02}),
      Condition("friction × 2", overrides=("rig.cable_friction=0.2",)),
      Condition("payload 20 g", overrides=("plant.payload=0.02",)),
@@ -135,7 +134,7 @@ _BENCH = EmulatedBench(
 ROBOTS: Mapping[str, Robot] = MappingProxyType({robot.name: robot for robot in (
     _foreign("tendon_chain", 3e-5, _loaded(0.003)), _foreign("cosserat_rod", 3e-5, _loaded(0.007)),
     _foreign("pressure_arm", 5e-5, OFFSET), _foreign("isupport", 3e-5, OFFSET),
-    _foreign("planar_hsa", 3e-5, _loaded(0.05, at=0.55)), _BENCH)})
+    _foreign("planar_hsa", 3e-5, _loaded(0.05, at=0.55)), EMULATED_BENCH)})
 
 
 def robot_named(name: str) -> Robot:

@@ -1,4 +1,4 @@
-"""Make the tetrahedral meshes of the package: `python experiments/meshes/make_meshes.py`; it takes seconds.
+"""Make the tetrahedral meshes of the package: `python tools/make_meshes.py`; it takes seconds.
 
     outline ──gmsh──▶ one wedge ──copies──▶ the whole robot ──checks──▶ ssmr_torch/plants/meshes/*.vtu
 
@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 
 from ssmr_torch.plants.finite_element.mesh import TetrahedralMesh
 
-FOLDER = Path(__file__).resolve().parents[2] / "ssmr_torch" / "plants" / "meshes"
+FOLDER = Path(__file__).resolve().parents[1] / "ssmr_torch" / "plants" / "meshes"
 DIGITS = 4
 CLOSEST, WORST_QUALITY = 0.5, 0.25  # what a mesh must keep: mm between nodes, quality of every tetrahedron
 

@@ -1,23 +1,25 @@
-"""Memory and time of very many control steps: `python experiments/benchmarks/control_endurance.py --steps 100000`.
+"""Memory and time of very many control steps; it fails where the memory grows.
 
-One process follows the fast figure eight without end, on the instance of control_step.py with circles to avoid where
---obstacles asks for them; every 1000th measurement is missing, so that fallbacks and fresh starts are in it. Ten lines,
-each over a tenth of the steps. Exit status 1 when the memory grew by more than 5 MB after the first of them.
+One process follows the fast figure eight without end, on the instance of tracking_instance.py, with circles to avoid
+where `obstacles` asks for them; every 1000th measurement is missing, so that fallbacks and fresh starts are in it. Ten
+rows, each over a tenth of the steps. It fails when the memory grew by more than 5 MB after the first of them.
 """
 
 from __future__ import annotations
 
-import argparse
 import gc
 import resource
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from time import thread_time
 
 import numpy as np
-from control_scaling import among_circles
-from control_step import BOUNDS, ModelPlant, machine, oscillators, perturbed, predictive
+
+from ssmr_torch.benchmarks.scaling import among_circles
+from ssmr_torch.benchmarks.table import BenchmarkFailed
+from ssmr_torch.benchmarks.tracking_instance import BOUNDS, ModelPlant, oscillators, perturbed, predictive
 
 CHECKPOINTS, LIMIT, MISSING_EVERY = 10, 5.0, 1000
 STATISTICS = Path("/proc/self/statm")
@@ -55,27 +57,21 @@ def endure(steps: int, horizon: int, obstacles: int, qp: str):
             yield k + 1, memory(), cpu, sum(controller.fallbacks.values())
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """One line per checkpoint; 1 where the memory grew."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--steps", type=int, default=100_000, help="control steps of 20 ms, at least 10")
-    parser.add_argument("--horizon", type=int, default=5)
-    parser.add_argument("--obstacles", type=int, default=0, help="circles around the path")
-    parser.add_argument("--qp", default="proxqp", help="solver of the controller")
-    given = parser.parse_args(arguments)
-    if given.steps < CHECKPOINTS:
-        parser.error(f"--steps is {given.steps}; expected at least {CHECKPOINTS}")
-    print(machine("numba", "proxsuite"))
-    print(f"{'steps':>8} {'memory':>11} {'CPU median':>11} {'CPU 99 %':>11} {'CPU 99.9 %':>11} {'CPU max':>11} "
-          f"{'fallbacks':>10}")
+def rows(*, steps: int = 100_000, horizon: int = 5, obstacles: int = 0, qp: str = "proxqp") -> Iterator[dict | str]:
+    """One row per checkpoint: memory, CPU time of the steps since the last one, fallbacks so far.
+
+    steps: control steps of 20 ms, at least 10.   obstacles: circles around the path.   qp: solver of the controller.
+    Raises ValueError for fewer steps, and `BenchmarkFailed` where the memory grew.
+    """
+    if steps < CHECKPOINTS:
+        raise ValueError(f"steps is {steps}; expected at least {CHECKPOINTS}")
     first = last = None
-    for steps, last, cpu, fallbacks in endure(given.steps, given.horizon, given.obstacles, given.qp):
+    for done, last, cpu, fallbacks in endure(steps, horizon, obstacles, qp):
         first = last if first is None else first
-        times = " ".join(f"{value:>8.3f} ms" for value in np.percentile(cpu, (50, 99, 99.9, 100)))
-        print(f"{steps:>8} {last:>8.2f} MB {times} {fallbacks:>10}", flush=True)
-    print(f"{last - first:+.2f} MB after the first {given.steps // CHECKPOINTS} steps; at most {LIMIT:g} are accepted")
-    return int(last - first > LIMIT)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        median, late, later, largest = np.percentile(cpu, (50, 99, 99.9, 100)).tolist()
+        yield {"steps": done, "memory, MB": last, "CPU median, ms": median, "CPU 99 %, ms": late,
+               "CPU 99.9 %, ms": later, "CPU largest, ms": largest, "fallbacks": fallbacks}
+    grown = f"{last - first:+.2f} MB after the first {steps // CHECKPOINTS} steps; at most {LIMIT:g} MB are accepted"
+    yield grown
+    if last - first > LIMIT:
+        raise BenchmarkFailed(grown)

@@ -1,4 +1,4 @@
-"""Time of one control step: `python experiments/benchmarks/control_step.py` (set OMP_NUM_THREADS=1).
+"""The tracking problem on which control steps are measured, and on which many tests stand.
 
 A six-dimensional cubic model (three coupled oscillators of about 4 Hz, 5 % damping, four pulling inputs)
 steers a plant with wrong parameters along the fast figure eight, with measurement noise.
@@ -6,11 +6,7 @@ steers a plant with wrong parameters along the fast figure eight, with measureme
 
 from __future__ import annotations
 
-import os
-import platform
 from dataclasses import replace
-from importlib.metadata import version
-from pathlib import Path
 from time import perf_counter, thread_time
 
 import numpy as np
@@ -132,34 +128,3 @@ def measure(horizon: int, laps: float = 6.0, build=predictive, model=None, task=
             "failures": sum(controller.fallbacks.values()), "saturated": saturated, "rmse": 1e3 * np.sqrt(squares),
             "clearance": 1e3 * clearance,
             "cost": PAPER.output_weight * squares + PAPER.input_weight * effort}
-
-
-def machine(*libraries: str) -> str:
-    """The machine, its threads and the versions of Python, NumPy and these libraries."""
-    versions = [f"{name} {version(name)}" for name in ("numpy", *libraries)]
-    return (f"{processor()}, {os.cpu_count()} cores, OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'unset')}, "
-            f"Python {platform.python_version()}, {', '.join(versions)}")
-
-
-def processor() -> str:
-    """The processor's name, or its architecture where the system does not tell."""
-    information = Path("/proc/cpuinfo")
-    lines = information.read_text().splitlines() if information.is_file() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()
-
-
-def main() -> None:
-    """One line per horizon."""
-    print(machine("numba", "proxsuite"))
-    print(f"{'N':>3} {'steps':>6} {'CPU median':>11} {'CPU p99':>8} {'wall median':>12} {'wall p99':>9} "
-          f"{'failures':>9} {'saturated':>10} {'RMSE':>8}")
-    for horizon in (5, 10, 20):
-        r = measure(horizon)
-        cpu, wall = np.percentile(r["cpu"], (50, 99)), np.percentile(r["wall"], (50, 99))
-        print(f"{r['N']:>3} {r['steps']:>6} {cpu[0]:>8.3f} ms {cpu[1]:>5.3f} ms {wall[0]:>9.3f} ms "
-              f"{wall[1]:>6.3f} ms {r['failures']:>9} {100 * r['saturated']:>8.1f} % {r['rmse']:>5.3f} mm")
-
-
-if __name__ == "__main__":
-    main()

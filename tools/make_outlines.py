@@ -1,4 +1,4 @@
-"""DejaVu Sans → the outlines that tasks draw where no font is installed: python experiments/fonts/make_outlines.py
+"""DejaVu Sans → the outlines that tasks draw where no font is installed: python tools/make_outlines.py
 
 One line per character of Latin-1: the character, its advance width, and its contours as an SVG path of M, L and Q (font
 units, y up). Needs fontTools and matplotlib, which brings the font and its licence.
@@ -11,7 +11,7 @@ from fontTools.pens.basePen import BasePen
 from fontTools.ttLib import TTFont
 
 FONTS = Path(find_spec("matplotlib").submodule_search_locations[0], "mpl-data", "fonts", "ttf")
-OUTLINES = Path(__file__).resolve().parents[2] / "ssmr_torch" / "tasks" / "dejavu_sans.txt"
+OUTLINES = Path(__file__).resolve().parents[1] / "ssmr_torch" / "tasks" / "dejavu_sans.txt"
 CHARACTERS = [chr(code) for code in (*range(0x20, 0x7F), *range(0xA1, 0x100)) if code != 0xAD]
 
 

@@ -1,45 +1,40 @@
-"""Controllers designed from recordings alone, on robots and disturbances that no default was made on, as tables.
+"""Controllers designed from recordings alone, on robots that no default was made on.
 
-    python experiments/benchmarks/designed.py FOLDER [robots=tendon_chain,bench] [parts=nominal,disturbed] [seeds=5]
-        [models=auto] [conditions=payload,noise_×_3] [told=not_told] [tasks=letter,2.5] [recordings=FOLDER]
+    ssmr benchmark designed folder=FOLDER robots=[tendon_chain,emulated_bench] parts=[nominal,disturbed] seeds=5
 
 No run that is evaluated was seen by a design: `ssmr.design` gets the recording of five minutes, the tracked outputs and
 the bounds, and its defaults. One design serves all tasks that track the same outputs.
 
-robots: see `robots_under_test.py`; all by default. tasks: those with one of these in their names. In names of
-conditions _ stands for a blank. Recordings lie in FOLDER/ROBOT/trajectories.h5, or in `recordings`,
-and are made where they are missing.
 parts: nominal (40 % of the static reach, slow and fast); far (70 and 100 %); disturbed, where the robot is not the one
 that was recorded: by `not told` the controller is the nominal one, by `readjusted` it was readjusted after one fast
 letter of 13 s on that robot, by `designed` the recordings were made on that robot; models, nominal with each of several
 kinds, designed alike.
-Rows are kept in FOLDER/results.json as they are made; a row that is there is not run again, unless it failed by an
-exception. FOLDER/ROBOT.md and the terminal get one table for each part, and the worst robot and task by name.
-Set OMP_NUM_THREADS=1.
+Results are kept in FOLDER/results.json as they are made; a result that is there is not made again, unless it failed by
+an exception. FOLDER/ROBOT.md gets one table for each part; a remark names the worst robot and task.
 """
 
 from __future__ import annotations
 
 import json
 import logging
-import os
 import pickle
-import sys
 import traceback
 import warnings
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
-import designed_tables as tables
 import numpy as np
 import torch
-from judgement import finite, measured
-from robots_under_test import NOMINAL, NOT_TOLD, ROBOTS, Condition, Robot, robot_named
 
 import ssmr_torch as ssmr
+from ssmr_torch.benchmarks import designed_tables as tables
+from ssmr_torch.benchmarks.loop_scores import finite, measured
+from ssmr_torch.benchmarks.robots_under_test import NOMINAL, NOT_TOLD, ROBOTS, Condition, Robot, robot_named
 from ssmr_torch.closed_loop.simulation import simulate
 from ssmr_torch.control.designed import DesignedController
+from ssmr_torch.result_files import save_bytes, save_text
 from ssmr_torch.trajectory import TrajectoryDataset
 
 PARTS = ("nominal", "far", "disturbed", "models")
@@ -47,41 +42,25 @@ MODELS = ("auto", "ssmr", "sssr", "ssmr_control_augmented", "edmd_bilinear", "dm
 SEED_OF_OPERATION = 1000           # of the run that a controller is readjusted by, which no evaluated run has
 
 
-@dataclass
+@dataclass(frozen=True)
 class Choice:
-    """What the command line chose."""
+    """What was asked for, see `rows`."""
 
     folder: Path
     recordings: Path
-    robots: list[str] = field(default_factory=lambda: list(ROBOTS))
-    parts: list[str] = field(default_factory=lambda: ["nominal", "far", "disturbed"])
-    models: list[str] = field(default_factory=lambda: ["auto"])
-    conditions: list[str] = field(default_factory=list)
-    told: list[str] = field(default_factory=list)
-    tasks: list[str] = field(default_factory=list)
-    seeds: int = 5
+    robots: Sequence[str]
+    parts: Sequence[str]
+    models: Sequence[str]
+    conditions: Sequence[str]
+    told: Sequence[str]
+    tasks: Sequence[str]
+    seeds: int
 
-
-def choice(arguments: list[str]) -> Choice:
-    """Of FOLDER key=value …; raises SystemExit with what is known, for anything else."""
-    folder, *rest = arguments or [""]
-    given = dict(each.split("=", 1) for each in rest if "=" in each)
-    known = {"robots": list, "parts": list, "models": list, "conditions": list, "told": list, "tasks": list,
-             "seeds": int, "recordings": Path}
-    wrong = [each for each in rest if each.split("=", 1)[0] not in known or "=" not in each]
-    if not folder or "=" in folder or wrong:
-        raise SystemExit(f"{__doc__}\nnot understood: {', '.join(wrong) or 'the folder is missing'}; known are "
-                         f"{', '.join(known)}")
-    read = {name: value.split(",") if known[name] is list else known[name](value) for name, value in given.items()}
-    for name in ("conditions", "told"):
-        read[name] = [each.replace("_", " ") for each in read.get(name, [])]
-    unknown = set(read.get("robots", [])) - set(ROBOTS) | set(read.get("parts", [])) - set(PARTS)
-    if unknown:
-        raise SystemExit(f"unknown: {', '.join(sorted(unknown))}; robots are {', '.join(ROBOTS)}, parts "
-                         f"{', '.join(PARTS)}")
-    if "models" in read.get("parts", []) and "models" not in read:
-        read["models"] = list(MODELS)
-    return Choice(Path(folder), **({"recordings": Path(folder)} | read))
+    def __post_init__(self):
+        unknown = (set(self.robots) - set(ROBOTS)) | (set(self.parts) - set(PARTS))
+        if unknown:
+            raise ValueError(f"unknown: {', '.join(sorted(unknown))}; robots are {', '.join(ROBOTS)}, parts "
+                             f"{', '.join(PARTS)}")
 
 
 class NoDesign(Exception):
@@ -97,10 +76,7 @@ class Results:
 
     def add(self, key: str, row: dict) -> None:
         self.rows[key] = row
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        aside = self.path.with_suffix(".part")
-        aside.write_text(json.dumps(self.rows, indent=1))
-        os.replace(aside, self.path)
+        save_text(self.path, json.dumps(self.rows, indent=1))  # infinite floors are kept
 
     def once(self, key: str, make) -> dict:
         """The row of this key, made now where it is missing or failed."""
@@ -151,9 +127,8 @@ class Trial:
             data = self.recorded(condition)
             model = ssmr.fit(data, purpose="control", progress=False) if kind == "slow_fast" else kind
             controller, report = ssmr.design(model, data, task, self.bounds, progress=False)
-            page = self.chosen.folder / "designs" / f"{key.replace('/', ' ')}.txt"
-            page.parent.mkdir(parents=True, exist_ok=True)
-            page.write_text("\n".join([repr(report), "", *report.sentences]) + "\n")
+            save_text(self.chosen.folder / "designs" / f"{key.replace('/', ' ')}.txt",
+                      "\n".join([repr(report), "", *report.sentences]) + "\n")
             return {"design": report.facts}, controller
 
         return self._kept(key, make)
@@ -191,8 +166,7 @@ class Trial:
 
         def write() -> dict:
             row, found = make()
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(pickle.dumps(found))
+            save_bytes(file, pickle.dumps(found))
             return row
 
         if not file.is_file():
@@ -250,20 +224,29 @@ class Trial:
             and (not self.chosen.told or told in self.chosen.told)
 
 
-def main(arguments: list[str] | None = None) -> None:
+def rows(*, folder: str = "outputs/designed", recordings: str | None = None, robots: Sequence[str] | None = None,
+         parts: Sequence[str] = ("nominal", "far", "disturbed"), models: Sequence[str] | None = None,
+         conditions: Sequence[str] = (), told: Sequence[str] = (), tasks: Sequence[str] = (),
+         seeds: int = 5) -> Iterator[dict | str]:
+    """One row per run in closed loop, and a remark with the worst.
+
+    folder: of results, pages and designs.   recordings: FOLDER/ROBOT/trajectories.h5; None: those of folder; they are
+    made where they are missing.   robots: see `robots_under_test.py`; None: all.   models: kinds; None: auto, or all
+    of `MODELS` for the part models.   conditions, told: of the part disturbed; none: all.   tasks: those with one of
+    these in their names; none: all.   seeds: runs of each kind.
+    Raises ValueError for a robot or a part that is none.
+    """
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     warnings.filterwarnings("ignore")
     torch.set_num_threads(1)
-    chosen = choice(sys.argv[1:] if arguments is None else arguments)
+    kinds = models or (MODELS if "models" in parts else ("auto",))
+    chosen = Choice(Path(folder), Path(recordings or folder), robots or list(ROBOTS), parts, kinds, conditions, told,
+                    tasks, seeds)
     results = Results(chosen.folder / "results.json")
     for name in chosen.robots:
         robot = robot_named(name)
         Trial(robot, chosen, results).all()
-        page = tables.page(robot, results.rows)
-        (chosen.folder / f"{name}.md").write_text(page)
-        print(page, flush=True)
-    print(tables.worst(results.rows))
-
-
-if __name__ == "__main__":
-    main()
+        save_text(chosen.folder / f"{name}.md", tables.page(robot, results.rows))
+        yield from tables.runs(name, results.rows)
+        yield f"{chosen.folder / f'{name}.md'}"
+    yield tables.worst(results.rows)

@@ -1,17 +1,17 @@
-"""Robots that no default was made on: `python experiments/benchmarks/robots.py [FOLDER] [ROBOT …]` (one thread).
+"""Robots that no default was made on: the model that is chosen from the data, and all baselines at their best.
 
 Each robot is recorded for five minutes (excitation=five_minutes), or read from FOLDER/ROBOT/trajectories.h5 where that
 is, where a new recording is kept as well. The model that is chosen from the data and all baselines at their best are
-fitted by defaults and scored on the robot's test runs; FOLDER/ROBOT/comparison.md has all tables. At the end stands one
-table, worst robot first, by the chosen model's error over a second, in % of the largest displacement.
+fitted by defaults and scored on the robot's test runs; FOLDER/ROBOT/comparison.md has all tables. One row per robot;
+at the end a remark lists the robots, worst first, by the chosen model's error over a second as a share of the largest
+displacement.
 """
 
 from __future__ import annotations
 
 import logging
-import os
-import sys
 import warnings
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import torch
@@ -21,14 +21,14 @@ from ssmr_torch import data_sheet as sheet
 from ssmr_torch.comparison import Comparison
 from ssmr_torch.extras import remedy
 from ssmr_torch.fitting.compare_models import compare
+from ssmr_torch.result_files import save_text
 from ssmr_torch.trajectory import TrajectoryDataset
 
 ROBOTS = ("tendon_chain", "cosserat_rod", "pressure_arm", "isupport", "planar_hsa")
 CHOSEN, SMOOTH, FAST = "AUTO", "smooth-test", "double-speed-test"
 RIGS = {"pressure_arm": "camera"}  # what stands between robot and recording; others are seen as they are
 SHORT = {"decays": 6, "validation_decays": 0, "test_decays": 1, "decay_duration": 2.0}
-HEADER = ("robot", "50 ms", "200 ms", "1 s", "of reach", "double speed", "diverged", "neither best nor tied",
-          "best baseline, 50 ms", "200 ms", "1 s")
+LABELS = ("50 ms", "200 ms", "1 s")
 
 
 def recorded(robot: str, *, short: bool = False) -> TrajectoryDataset:
@@ -57,38 +57,36 @@ def kept(robot: str, folder: Path | None) -> TrajectoryDataset:
     return data
 
 
-def row(robot: str, found: Comparison) -> list[str]:
+def row(robot: str, found: Comparison) -> dict:
     """Of the smooth test run: errors in mm, % of the reach; the same at double speed; the best baseline's errors."""
     smooth = found.groups[SMOOTH]
-    labels = ("50 ms", "200 ms", "1 s")
-    others = [found.best_other(SMOOTH, label, CHOSEN) for label in labels]
+    others = [found.best_other(SMOOTH, label, CHOSEN) for label in LABELS]
     behind = [f"{group} {', '.join(late)}" for group, late in found.behind(CHOSEN).items() if late]
-    return [robot, *(sheet.number(1e3 * smooth[CHOSEN][label].mean) for label in labels),
-            *(f"{sheet.number(100 * found.share_of_reach(CHOSEN, group), 2)} %" for group in (SMOOTH, FAST)),
-            f"{sheet.number(100 * found.diverged(CHOSEN))} %", "; ".join(behind) or "–",
-            *(f"{sheet.number(1e3 * smooth[other][label].mean)} {other}" for other, label in zip(others, labels))]
+    return {"robot": robot, **{f"{label}, mm": float(1e3 * smooth[CHOSEN][label].mean) for label in LABELS},
+            "of reach, %": float(100 * found.share_of_reach(CHOSEN, SMOOTH)),
+            "double speed, %": float(100 * found.share_of_reach(CHOSEN, FAST)),
+            "diverged, %": float(100 * found.diverged(CHOSEN)),
+            **{f"best baseline, {label}": f"{sheet.number(1e3 * smooth[other][label].mean)} {other}"
+               for other, label in zip(others, LABELS)},
+            "neither best nor tied": "; ".join(behind) or "–"}
 
 
-def main() -> None:
+def rows(*, folder: str | None = None, robots: Sequence[str] = ROBOTS) -> Iterator[dict | str]:
+    """One row per robot, and a remark for each whose package is not installed.   folder: of the recordings."""
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     warnings.filterwarnings("ignore")
     torch.set_num_threads(1)
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else None
-    found: dict[str, Comparison] = {}
-    for robot in sys.argv[2:] or ROBOTS:
+    place, shares = None if folder is None else Path(folder), {}
+    for robot in robots:
         try:
-            found[robot] = compare(kept(robot, folder))
+            found = compare(kept(robot, place))
         except ModuleNotFoundError as error:
-            print(f"{robot}: {remedy(error) or error}")
+            yield f"{robot} left out: {remedy(error) or error}"
             continue
-        print(f"{robot}\n{found[robot]}\n", flush=True)
-        if folder is not None:
-            aside = folder / robot / "comparison.md.part"
-            aside.write_text(found[robot].markdown)
-            os.replace(aside, aside.with_suffix(""))
-    worst = sorted(found, key=lambda robot: -found[robot].share_of_reach(CHOSEN, SMOOTH))
-    print(sheet.columns([list(HEADER), *(row(robot, found[robot]) for robot in worst)]))
-
-
-if __name__ == "__main__":
-    main()
+        shares[robot] = found.share_of_reach(CHOSEN, SMOOTH)
+        if place is not None:
+            save_text(place / robot / "comparison.md", found.markdown)
+        yield row(robot, found)
+        yield f"{robot}\n{found}\n"
+    yield "worst first: " + ", ".join(f"{robot} {sheet.number(100 * shares[robot], 2)} %"
+                                      for robot in sorted(shares, key=lambda robot: -shares[robot]))

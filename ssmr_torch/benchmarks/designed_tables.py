@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+
 import numpy as np
 
 from ssmr_torch import data_sheet as sheet
@@ -27,10 +29,29 @@ def share(error: float | None, row: dict) -> str:
     return "∞" if error is None else f"{sheet.number(100 * error / row['reach'], 3)} %"
 
 
+def runs(robot: str, rows: Mapping[str, Mapping]) -> Iterator[dict]:
+    """Every run of a robot as one row: what it was, its errors as shares of the reach, losses, fallbacks, times."""
+    for key, row in rows.items():
+        of, *parts = key.split("/")
+        if of != robot or parts[0] in PLAIN:
+            continue
+        unit = row.get("reach")
+        found = {"robot": of, **dict(zip(("part", "model", "condition", "told", "task"), parts)),
+                 "seed": int(parts[-1])}
+        found |= {f"{name}, % of reach": None if unit is None or row.get(key) is None else 100 * row[key] / unit
+                  for name, key in (("RMSE", "rmse"), ("RMSE after 1 s", "rmse after 1 s"), ("within", "rmse within"))}
+        yield found | {"ISE, mm²": None if row.get("ise") is None else 1e6 * row["ise"],
+                       "lost": bool(row.get("lost", True)), "fallbacks": row.get("fallbacks"),
+                       "at a bound, %": None if unit is None else 100 * row["at a bound"],
+                       **{f"{name}, ms": None if row.get(key) is None else 1e3 * row[key] for name, key in (
+                           ("step median", "solve_time_median"), ("step 99 %", "solve_time_p99"),
+                           ("slowest step", "slowest step"))}, "failure": row.get("raised", "")}
+
+
 def page(robot, rows: dict[str, dict]) -> str:
     """All tables of a robot as Markdown."""
     runs = {tuple(key.split("/")): row for key, row in rows.items() if key.startswith(f"{robot.name}/")}
-    ise = robot.name == "bench"
+    ise = robot.name == "emulated_bench"
     parts = [f"# {robot.name}", _what(robot, ise)]
     for part in ("nominal", "far", "disturbed"):
         mine = {key[2:]: row for key, row in runs.items() if key[1] == part}

@@ -1,17 +1,15 @@
-"""Hostile steps: `python experiments/benchmarks/control_hostile.py --steps 100000` (set OMP_NUM_THREADS=1).
+"""Hostile steps: every kind of controller under spoilt measurements, jumps of time and shut actuators.
 
-Every controller of `KINDS` steers the plant of control_step.py along the fast figure eight while measurements are
-spoilt, skipped, masked or no numbers, time stops, jumps and is not finite, and actuators are shut and opened. A line
+Every controller of `KINDS` steers the plant of tracking_instance.py along the fast figure eight while measurements are
+spoilt, skipped, masked or no numbers, time stops, jumps and is not finite, and actuators are shut and opened. A row
 each: exceptions, commands that are not finite or out of bounds, the worst CPU time of a step and how many took more
-than half the period, whether a reset makes it a fresh controller again, and what was counted. Exit status 1 where an
+than half the period, whether a reset makes it a fresh controller again, and what was counted. It fails where an
 exception left a controller, a command was out of bounds, or a reset left something behind.
 """
 
 from __future__ import annotations
 
-import argparse
 import logging
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -19,9 +17,10 @@ from functools import partial
 from time import thread_time
 
 import numpy as np
-from control_scaling import SAMPLES, among_circles, window_model
-from control_step import BOUNDS, ModelPlant, machine, oscillators, perturbed, predictive
 
+from ssmr_torch.benchmarks.scaling import SAMPLES, among_circles, window_model
+from ssmr_torch.benchmarks.table import BenchmarkFailed
+from ssmr_torch.benchmarks.tracking_instance import BOUNDS, ModelPlant, oscillators, perturbed, predictive
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.disturbance_observer import DisturbanceObserver
 from ssmr_torch.control.kalman_observers import KalmanObserver
@@ -184,30 +183,25 @@ def _is_fresh(controller, other) -> bool:
     return all((controller(TIMESTEP * k, y).input == other(TIMESTEP * k, y).input).all() for k, y in enumerate(waves))
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Two lines per controller; 1 where one of them failed."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--steps", type=int, default=100_000, help="hostile calls of each controller")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", default="", help="controllers whose name contains this")
-    given = parser.parse_args(arguments)
+def rows(*, steps: int = 100_000, seed: int = 0, only: str = "") -> Iterator[dict | str]:
+    """One row per controller, and a remark on what it counted and on every exception.
+
+    steps: hostile calls of each controller.   only: controllers whose name contains this.
+    Raises `BenchmarkFailed`, with the names, after the last row where one of them failed.
+    """
     logging.getLogger("ssmr_torch").setLevel(logging.ERROR)  # a first measurement may be a hostile one
-    print(machine("numba", "proxsuite"))
-    print(f"{'controller':<26} {'exceptions':>10} {'outside':>8} {'worst step':>11} {'> half':>7} {'fresh again':>12}")
-    failed = False
+    failed = []
     for name, build in KINDS.items():
-        if given.only not in name:
+        if only not in name:
             continue
-        found = endure(build, given.steps, given.seed)
-        failed |= bool(found.exceptions or found.outside or not found.fresh)
-        print(f"{name:<26} {sum(found.exceptions.values()):>10} {found.outside:>8} {1e3 * found.worst:>8.2f} ms "
-              f"{found.late:>7} {'yes' if found.fresh else 'no':>12}")
+        found = endure(build, steps, seed)
+        if found.exceptions or found.outside or not found.fresh:
+            failed.append(name)
+        yield {"controller": name, "exceptions": sum(found.exceptions.values()), "outside": found.outside,
+               "worst step, ms": 1e3 * found.worst, "steps over half": found.late, "fresh again": found.fresh}
         told = {status.name.lower(): count for status, count in found.fallbacks.items()} | dict(found.counts)
-        print("    " + ", ".join(f"{count} {what}" for what, count in sorted(told.items())), flush=True)
-        for what, count in found.exceptions.items():
-            print(f"    {count} times {what}")
-    return int(failed)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        yield "    " + ", ".join(f"{count} {what}" for what, count in sorted(told.items()))
+        yield from (f"    {count} times {what}" for what, count in found.exceptions.items())
+    if failed:
+        raise BenchmarkFailed("an exception, a command out of bounds or something left by a reset: "
+                              f"{', '.join(failed)}")
