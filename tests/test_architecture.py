@@ -129,7 +129,7 @@ def test_a_broken_rule_prints_the_rooms_by_floor_and_marks_the_arrow_that_runs_u
                      control__qp="import ssmr_torch.models.a")
     with pytest.raises(AssertionError) as failed:
         kept("rooms keep apart", folder)
-    lines = str(failed.value).splitlines()
+    lines = [line.strip() for line in str(failed.value).splitlines()]
     assert "models/b.py imports ssmr_torch.control" in lines
     assert lines.index("floor 2   control/") < lines.index("floor 1   models/  status.py")
     assert "control/             → models/" in lines
