@@ -2,6 +2,7 @@
 that it can.
 """
 
+import re
 from pathlib import Path
 
 import pytest
@@ -112,6 +113,12 @@ def test_of_the_entry_points_only_those_of_the_paper_import_its_room():
 
 def test_contributing_shows_the_rooms_and_arrows_as_they_are():
     assert drawn_in((ROOT / "CONTRIBUTING.md").read_text()) == picture(PACKAGE), "run python tests/architecture.py"
+
+
+def test_contributing_names_files_that_exist():
+    page = (ROOT / "CONTRIBUTING.md").read_text()
+    named = re.findall(r"`((?:ssmr_torch|tests|tools|conf|docs|experiments|\.ci)/[\w/.]*)", page)
+    assert len(named) > 15 and [each for each in named if "NAME" not in each and not (ROOT / each).exists()] == []
 
 
 def planted(tmp_path: Path, **codes: str) -> Path:
