@@ -15,8 +15,8 @@ import numpy.typing as npt
 from ssmr_torch import data_sheet as sheet
 from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.deployment import artifact
-from ssmr_torch.evaluation.predictors import as_predictor, at_every_sample
 from ssmr_torch.models.base import Model
+from ssmr_torch.models.predictors import as_predictor, at_every_sample
 from ssmr_torch.periods import whole_multiple
 
 if TYPE_CHECKING:

@@ -80,6 +80,7 @@ RULES = {
     "imports are absolute": lambda folder: relative_imports(folder),
     "each library has its rooms": lambda folder: strays(folder, HOMES),
     "rooms keep apart": lambda folder: trespasses(folder, NEVER, EXCEPT),
+    "no arrow between rooms runs up": lambda folder: [f"{one} imports {other}" for one, other in upward(arrows(folder))],
     "there are no import circles": lambda folder: circles(folder),
     "only the named rooms touch files, and write aside": lambda folder: files_touched(folder, TOUCHES_FILES),
     "rooms are small and named after what is in them": lambda folder: oversized(folder, 330, 55),
@@ -141,6 +142,7 @@ def test_a_broken_rule_prints_the_rooms_by_floor_and_marks_the_arrow_that_runs_u
     assert lines.index("floor 2   control/") < lines.index("floor 1   models/  status.py")
     assert "control/             → models/" in lines
     assert "UPWARDS: models/ → control/, by models/b.py" in lines
+    assert RULES["no arrow between rooms runs up"](folder) == ["models/ imports control/"]
 
 
 def test_an_arrow_that_follows_from_others_is_not_drawn(tmp_path):
