@@ -28,7 +28,7 @@ def listed() -> str:
     width = max(map(len, NAMES))
     return "\n".join(["ssmr benchmark NAME [key=value …]: one table, also as CSV and JSON", "",
                       *(f"  {name:<{width}}  {sentence_of(name)}" for name in NAMES), "",
-                      "ssmr benchmark NAME --help    the settings of a benchmark"])
+                      "ssmr benchmark NAME --cfg job    the settings of a benchmark and their defaults"])
 
 
 def as_overrides(arguments: list[str]) -> list[str]:
