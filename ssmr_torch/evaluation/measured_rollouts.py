@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.evaluation.predictors import Predictor, as_predictor, at_every_sample
+from ssmr_torch.models.predictors import Predictor, as_predictor, at_every_sample
 from ssmr_torch.periods import TOLERANCE, whole_multiple
 
 

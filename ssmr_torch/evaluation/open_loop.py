@@ -15,8 +15,8 @@ from ssmr_torch.data.starts import starts_over
 from ssmr_torch.evaluation.horizon_scores import HorizonScore, OpenLoopScore
 from ssmr_torch.evaluation.measured_rollouts import Forecaster, JoinedRuns, noisy
 from ssmr_torch.evaluation.metrics import rollout_nmte, rollout_rmse
-from ssmr_torch.evaluation.predictors import BASELINES, as_predictor
 from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
+from ssmr_torch.models.predictors import BASELINES, as_predictor
 
 HORIZONS = (0.05, 0.2, 1.0)
 SAMPLES_PER_BLOCK = 1 << 16

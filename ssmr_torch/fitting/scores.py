@@ -9,7 +9,7 @@ import numpy as np
 from ssmr_torch.data.starts import ScoredRuns, samples_within
 from ssmr_torch.evaluation.measured_rollouts import Forecaster, JoinedRuns
 from ssmr_torch.evaluation.open_loop import score_horizons
-from ssmr_torch.evaluation.predictors import BASELINES, as_predictor
+from ssmr_torch.models.predictors import BASELINES, as_predictor
 
 SHORTER = {"rmse_50ms": 0.05, "rmse_200ms": 0.2}  # s
 
