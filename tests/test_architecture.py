@@ -83,7 +83,7 @@ RULES = {
     "imports are absolute": lambda folder: relative_imports(folder),
     "each library has its rooms": lambda folder: strays(folder, HOMES),
     "rooms keep apart": lambda folder: trespasses(folder, NEVER, EXCEPT),
-    "no arrow between rooms runs up": lambda folder: [f"{one} imports {other}" for one, other in upward(arrows(folder))],
+    "no arrow between rooms runs up": lambda folder: [f"{one} imports {two}" for one, two in upward(arrows(folder))],
     "there are no import circles": lambda folder: circles(folder),
     "only the named rooms touch files, and write aside": lambda folder: files_touched(folder, TOUCHES_FILES),
     "rooms are small and named after what is in them": lambda folder: oversized(folder, 330, 55),

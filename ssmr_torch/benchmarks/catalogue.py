@@ -9,7 +9,7 @@ from pathlib import Path
 from ssmr_torch.defaults import keyword_defaults
 
 NAMES = ("fit", "step", "comparison", "scaling", "endurance", "hostile", "plant", "robots", "obstacles", "designed",
-         "disturbed")
+         "disturbed", "libraries")
 
 
 def settings_of(name: str) -> dict:
