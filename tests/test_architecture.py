@@ -42,7 +42,7 @@ HOMES = {
     "safetensors": ["deployment/artifact.py"],
     "onnx": ["deployment/onnx_program.py"], "onnxruntime": ["deployment/onnx_program.py"],
     "casadi": ["deployment/casadi_program.py", "benchmarks/other_solvers.py"],
-    "acados_template": ["benchmarks/other_solvers.py"],
+    "acados_template": ["benchmarks/other_solvers.py"], "ruptures": ["benchmarks/libraries.py"],
     "hydra": ["configuration.py", "entry_point.py"], "omegaconf": ["configuration.py", "entry_point.py"],
     "h5py": ["trajectory.py", "closed_loop/record.py", "commissioning/directory.py", "data/*",
              "collection/resumption.py", "paper/report_sections.py"],
