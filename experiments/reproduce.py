@@ -3,7 +3,7 @@
 ssmr reproduce preset=quick executor=joblib workers=2
 """
 
-from ssmr_torch.experiments.entry import entry_point
+from ssmr_torch.entry_point import entry_point
 
 
 @entry_point("reproduce")

@@ -18,7 +18,7 @@ from ssmr_torch.extras import remedy, require
 
 OF_THE_PAPER = ("delay-study", "reproduce") if find_spec("ssmr_torch.paper") else ()  # paper/ can be deleted
 COMMANDS = ("collect", "check", "train", "compare", "export", "evaluate", "design", "control", "commission",
-            "serve-controller", "serve-plant", "report", *OF_THE_PAPER)
+            "serve-controller", "serve-plant", "report", *OF_THE_PAPER, "benchmark")
 SEARCHES = ("sweep=", "tuning=")
 COMPLETION = ("-sc", "--shell-completion")  # as Hydra has it
 

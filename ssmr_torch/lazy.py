@@ -6,12 +6,13 @@ import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from operator import attrgetter
+from typing import Any
 
 from ssmr_torch.extras import remedy
 from ssmr_torch.renamed import NAMES
 
 
-def found(home: str):
+def found(home: str) -> Any:
     """The object named by "module:attribute" or "module:Class.attribute"; "module:" is the module itself.
 
     Raises ModuleNotFoundError if a package is missing, and names the extra that installs it.
@@ -32,7 +33,7 @@ def lazily(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], obje
     homes: the place of each name, in the form of `found`. Other names raise AttributeError, which lists the names that
     exist, or says the new name of one that has moved.
     """
-    def get(name: str):
+    def get(name: str) -> object:
         if moved := NAMES.get(f"{package}.{name}"):
             raise AttributeError(f"{package}.{name} is now {moved}", name=name, obj=sys.modules[package])
         if name not in homes:

@@ -21,6 +21,7 @@ from ssmr_torch.paper.report_sections import report_sections
 from ssmr_torch.paper.result_tables import solve_times, write_tables
 from ssmr_torch.provenance import provenance
 from ssmr_torch.report.html_page import write_report
+from ssmr_torch.result_files import save_text
 
 TITLE = "Discovering dominant dynamics for nonlinear continuum robot control: what comes out"
 
@@ -62,14 +63,14 @@ def _alone_in(directory: Path) -> Iterator[str]:
     """
     jobs = directory / "jobs"
     jobs.mkdir(parents=True, exist_ok=True)
-    with open(jobs / "lock", "w") as lock:
+    (jobs / "lock").touch()
+    with open(jobs / "lock") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise ValueError(f"another command works in {directory}; wait, or take another hydra.run.dir") from error
         turn = uuid.uuid4().hex
-        (jobs / "turn.part").write_text(turn)
-        os.replace(jobs / "turn.part", jobs / "turn")
+        save_text(jobs / "turn", turn)
         shutil.rmtree(directory / "unfinished", ignore_errors=True)
         try:
             yield turn

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import json
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ssmr_torch.configuration import folder
 from ssmr_torch.paper.jobs import Job
-from ssmr_torch.paper.result_rows import MODEL_COLUMNS, RUN_COLUMNS, model_row, note_of, run_row
+from ssmr_torch.paper.result_rows import model_row, note_of, run_row
+from ssmr_torch.result_files import save_csv
 
 
 def write_tables(directory: Path, settings: Mapping, done: Sequence[Job]) -> None:
@@ -18,13 +17,8 @@ def write_tables(directory: Path, settings: Mapping, done: Sequence[Job]) -> Non
     runs = [run_row(job.about, read_json(directory / job.product), f"{job.name}/record.h5") for job in done
             if "period" in job.about]
     models = [_model(directory, settings, job) for job in done if "model" in job.about]
-    for name, rows, columns in (("runs", runs, RUN_COLUMNS), ("models", models, MODEL_COLUMNS)):
-        aside = directory / f"{name}.csv.part"
-        with open(aside, "w", newline="") as file:
-            writer = csv.DictWriter(file, columns)
-            writer.writeheader()
-            writer.writerows(rows)
-        os.replace(aside, directory / f"{name}.csv")
+    save_csv(directory / "runs.csv", runs)
+    save_csv(directory / "models.csv", models)
 
 
 def solve_times(directory: Path, done: Sequence[Job]) -> dict[str, float]:

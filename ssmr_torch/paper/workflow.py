@@ -6,7 +6,6 @@ again, and its product is there.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -20,16 +19,14 @@ from tqdm import tqdm
 
 from ssmr_torch.paper.job_configuration import configuration
 from ssmr_torch.paper.jobs import Job
+from ssmr_torch.result_files import save_text
 
 
 class Notes(JsonDB):
     """doit's notes of what was done, in a file that is never half written."""
 
     def dump(self) -> None:
-        aside = f"{self.name}.part"
-        with open(aside, "w") as file:
-            file.write(self.codec.encode(self._db))
-        os.replace(aside, self.name)
+        save_text(Path(self.name), self.codec.encode(self._db))
 
 
 class Runner(MThreadRunner):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,9 +13,10 @@ import numpy as np
 from ssmr_torch.configuration import built, plain
 from ssmr_torch.data.starts import draw_starts, samples_within
 from ssmr_torch.deployment import artifact
-from ssmr_torch.evaluation.measured_rollouts import Recording
+from ssmr_torch.evaluation.measured_rollouts import JoinedRuns
 from ssmr_torch.evaluation.open_loop import HORIZONS, OpenLoopScore, compare_open_loop
 from ssmr_torch.provenance import provenance
+from ssmr_torch.result_files import save_json
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +38,11 @@ def map_open_loop(models: Mapping[str, object], runs: Sequence, *, outputs: Sequ
     """
     runs = [run.read() for run in runs]
     scores = compare_open_loop(models, runs, horizons=horizons, starts=starts, seed=seed, outputs=outputs)
-    recording = Recording.of(runs)
+    joined = JoinedRuns.of(runs)
     margin = next(iter(scores.values())).margin
-    span = samples_within(horizons[0], recording.timestep)
-    owner, sample = draw_starts(recording.lengths, margin, span, starts, seed)
-    position = recording.observation[recording.offsets[owner] + sample][:, list(outputs)]
+    span = samples_within(horizons[0], joined.timestep)
+    owner, sample = draw_starts(joined.lengths, margin, span, starts, seed)
+    position = joined.observation[joined.offsets[owner] + sample][:, list(outputs)]
     return OpenLoopMap(scores, position, {name: scores[name].horizons[0].errors for name in models})
 
 
@@ -59,14 +59,12 @@ def write_open_loop_map(config, path: Path, artifacts: Mapping[str, Path]) -> No
     found = map_open_loop({name: each.model for name, each in loaded.items()}, runs,
                           outputs=dataset.columns(config.outputs), starts=config.starts, seed=config.seed,
                           horizons=list(config.horizons))
-    numbers = {"scores": {name: score.as_dict() for name, score in found.scores.items()},
-               "test": ", ".join(run.name for run in runs),
-               "provenance": provenance(plain(config, without=["artifact"]))}
-    finite = json.loads(json.dumps(numbers), parse_constant=lambda _: None)
-    with h5py.File(f"{path}.h5.part", "w") as file:
+    aside = Path(f"{path}.h5.part")
+    with h5py.File(aside, "w") as file:
         file["position"] = found.position
         for name, errors in found.errors.items():
             file[f"error/{name}"] = errors
-    Path(f"{path}.json.part").write_text(json.dumps(finite, indent=2) + "\n")
-    for ending in ("h5", "json"):
-        os.replace(f"{path}.{ending}.part", f"{path}.{ending}")
+    os.replace(aside, f"{path}.h5")
+    save_json(Path(f"{path}.json"), {
+        "scores": {name: score.as_dict() for name, score in found.scores.items()},
+        "test": ", ".join(run.name for run in runs), "provenance": provenance(plain(config, without=["artifact"]))})
