@@ -12,7 +12,8 @@ from pathlib import Path
 import h5py
 
 from ssmr_torch.paper import published_numbers as published
-from ssmr_torch.paper import workspace_figures as paper_figures
+from ssmr_torch.paper.error_distribution_figures import error_boxes
+from ssmr_torch.paper.error_map_figures import error_maps
 from ssmr_torch.paper.number_text import MM, MS, PERCENT, counted_runs, ordered, saver, scaled, span, unless_nan
 from ssmr_torch.paper.report_closed_loops import loop_parts, pareto_parts
 from ssmr_torch.paper.verdicts import REFERENCE, Results, Run, judge, loops, tally
@@ -164,10 +165,10 @@ def _open_loop_parts(figure: str, directory: Path, results: Results) -> list:
             position, errors = file["position"][:], {name: file["error"][name][:] for name in file["error"]}
         errors = {name: errors[name] for name in ordered(errors, results.open_loop[robot])}
         save = saver(directory)
-        parts += [Picture(save(paper_figures.error_maps(position, errors), f"{figure}-map"),
+        parts += [Picture(save(error_maps(position, errors), f"{figure}-map"),
                           "Error over the 50 ms after each start, drawn where the tip was; crossed out: diverged.",
                           starts, "mm"),
-                  Picture(save(paper_figures.error_boxes(errors), f"{figure}-boxes"),
+                  Picture(save(error_boxes(errors), f"{figure}-boxes"),
                           "The same errors: quartiles, whiskers within 1.5 of their distance, outliers; diverged "
                           "starts count as infinite.", starts, "mm")]
     return parts
