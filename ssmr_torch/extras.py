@@ -9,7 +9,7 @@ BROUGHT_BY = {  # module → extra of pyproject.toml
     "h5py": "data", "scipy": "data", "yaml": "data", "tqdm": "data", "meshio": "plants",
     "matplotlib": "plots", "fontTools": "plots", "jinja2": "plots", "wandb": "wandb", "zmq": "wire", "daqp": "daqp",
     "qpsolvers": "qpsolvers", "onnx": "onnx", "onnxruntime": "onnx", "onnxscript": "onnx", "casadi": "casadi",
-    "optuna": "sweeps", "joblib": "parallel", "rerun": "view", "mujoco": "robots", "elastica": "robots",
+    "optuna": "search", "joblib": "parallel", "rerun": "view", "mujoco": "robots", "elastica": "robots",
     "soromox": "robots", "jax": "robots",
 }
 
