@@ -137,7 +137,7 @@ def test_a_class_of_ones_own_is_found_in_the_working_directory_and_results_lie_t
 
 @pytest.mark.parametrize(("line", "expected", "unexpected"), [
     ("ssmr tr", {"train"}, set()), ("ssmr ", set(command.COMMANDS), set()),
-    ("ssmr train model=ss", {"model=ssmr", "model=sssr", "model=ssmr_guarded"}, {"model=dmd"}),
+    ("ssmr train model=ss", {"model=ssmr", "model=sssr", "model=ssmr_stability_guard"}, {"model=dmd"}),
     ("ssmr serve-plant plant=trunk_", {"plant=trunk_coarse"}, {"plant=diamond"}),
     ("ssmr nothing model=", set(), {"model=ssmr"})])
 def test_the_shell_completes_commands_and_options(line, expected, unexpected):
@@ -161,7 +161,7 @@ def test_without_hydra_a_command_says_what_to_install():
 
 def test_without_optuna_a_search_says_what_to_install():
     code = "import sys; sys.modules['optuna'] = None; from ssmr_torch.command import main; sys.exit(main())"
-    done = subprocess.run([sys.executable, "-c", code, "train", "-m", "sweep=ssmr"], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", code, "train", "-m", "search=ssmr"], capture_output=True, text=True)
     assert done.returncode == 1
     assert done.stderr == "ssmr train: optuna is not installed: pip install 'ssmr_torch[sweeps]'\n"
 

@@ -118,7 +118,7 @@ def test_a_refinement_takes_the_closed_form_with_every_derivative(derivative):
 @pytest.mark.parametrize("tuned", sorted((CONF / "tuned").glob("*/*.yaml")), ids=lambda path: f"{path.parent.name}/"
                          f"{path.stem}")
 def test_what_was_tuned_is_taken_up_with_its_experiment_and_model(tuned):
-    config = builds(f"experiment={tuned.parent.name}", f"model={tuned.stem}")
+    config = builds(f"robot={tuned.parent.name}", f"model={tuned.stem}")
     for section, values in OmegaConf.to_container(OmegaConf.load(tuned)).items():
         assert _within(values, OmegaConf.to_container(config[section]))
 
@@ -209,7 +209,7 @@ def test_every_logger_takes_arguments_that_it_knows(choice):
 
 @pytest.mark.parametrize("experiment", group("experiment"))
 def test_every_experiment_composes_and_its_model_and_fit_build(experiment):
-    config = builds(f"experiment={experiment}")
+    config = builds(f"robot={experiment}")
     assert config.fit and not OmegaConf.is_missing(config.data, "_target_")
 
 
@@ -225,7 +225,7 @@ def test_every_controller_takes_every_task(controller, task):
         with pytest.raises(ValueError, match="carries no designed controller"):
             build(_tables(len(plant.output_names)), chosen, plant.input_bounds)
         return
-    tables = _pregain(len(plant.output_names)) if "koopman_lqr" in controller else _tables(len(plant.output_names))
+    tables = _pregain(len(plant.output_names)) if "static_pregain" in controller else _tables(len(plant.output_names))
     control = build(tables, chosen, plant.input_bounds, timestep=plant.timestep,
                     output_names=plant.output_names)
     command = control(0.0, np.zeros(len(plant.output_names)))

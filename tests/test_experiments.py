@@ -98,7 +98,7 @@ def trunk_line(tmp_path_factory):
     process.wait()
     kept = {path: path.stat().st_mtime_ns for path in at.glob("collect/recorded/*.h5")}
     run("collect", *TRUNK, *short, cwd=at)
-    run("train", "experiment=trunk", "model=sssr", "data.path=collect/trajectories.h5", *QUIET, "hydra.run.dir=train",
+    run("train", "robot=trunk", "model=sssr", "data.path=collect/trajectories.h5", *QUIET, "hydra.run.dir=train",
         cwd=at)
     run("export", "checkpoint=train/model.ckpt", "artifact=artifact", "hydra.run.dir=export", cwd=at)
     run("control", *TRUNK, "artifact=artifact", "controller=scp_trunk", "task=letter", "task.duration=4.0",
@@ -223,7 +223,7 @@ def test_a_job_that_fails_leaves_the_rest_of_its_sweep_and_the_table(line):
 @pytest.mark.slow
 def test_a_search_goes_on_where_it_was_never_sees_the_test_runs_and_leaves_the_best_settings(line):
     pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="needs pip install 'ssmr_torch[sweeps]'")
-    command = ["train", "-m", "sweep=sssr", "data.path=collect/trajectories.h5", "module.starts=100",
+    command = ["train", "-m", "search=sssr", "data.path=collect/trajectories.h5", "module.starts=100",
                "hydra.sweep.dir=search"]
     run(*command, "hydra.sweeper.n_trials=3", cwd=line)
     before = {path: path.stat().st_mtime_ns for path in line.glob("search/*/result.json")}
@@ -250,7 +250,7 @@ def test_a_search_goes_on_where_it_was_never_sees_the_test_runs_and_leaves_the_b
 @pytest.mark.slow
 def test_a_controller_is_tuned_on_a_task_of_its_own_and_its_best_settings_are_a_configuration(line):
     pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="needs pip install 'ssmr_torch[sweeps]'")
-    run("control", "-m", "tuning=scp_observer", "artifact=export/0/artifact", "hydra.sweeper.n_trials=3",
+    run("control", "-m", "search=controller/scp_observer", "artifact=export/0/artifact", "hydra.sweeper.n_trials=3",
         "task.amplitude=0.008", "hydra.sweep.dir=tuning", cwd=line)
     with open(line / "tuning" / "sweep.csv", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -263,7 +263,7 @@ def test_a_controller_is_tuned_on_a_task_of_its_own_and_its_best_settings_are_a_
 
 def test_what_was_searched_with_another_fit_is_written_out_as_conf_tuned_needs_it(tmp_path):
     (tmp_path / "0" / ".hydra").mkdir(parents=True)
-    overrides = ["model.delays=4", "fit.closed_form.ridge.default=0.1", "fit=guarded", "module.transient=0.2"]
+    overrides = ["model.delays=4", "fit.closed_form.ridge.default=0.1", "fit=stability_guard", "module.transient=0.2"]
     (tmp_path / "0" / "result.json").write_text(json.dumps({"overrides": overrides}))
     composed = {"fit": {"closed_form": {"ridge": {"default": 0.1}}, "guard": {"reach": 3.0}}, "model": {"delays": 4}}
     OmegaConf.save(OmegaConf.create(composed), tmp_path / "0" / ".hydra" / "config.yaml")
@@ -275,15 +275,15 @@ def test_a_tuned_controller_without_an_observer_names_none(tmp_path):
     (tmp_path / "0").mkdir()
     searched = {"overrides": ["controller.input_weight=3.0", "plant=trunk"]}
     (tmp_path / "0" / "result.json").write_text(json.dumps(searched))
-    save_controller(tmp_path, {"job": "0"}, "Found.", OmegaConf.create({"controller": "koopman_lqr"}))
+    save_controller(tmp_path, {"job": "0"}, "Found.", OmegaConf.create({"controller": "static_pregain"}))
     best = OmegaConf.load(tmp_path / "best.yaml")
-    assert best == {"defaults": ["koopman_lqr", "_self_"], "input_weight": 3.0}
+    assert best == {"defaults": ["static_pregain", "_self_"], "input_weight": 3.0}
 
 
 @pytest.mark.slow
 def test_a_model_of_the_tip_controls_a_robot_that_shows_more(trunk_line):
     at, _ = trunk_line
-    run("train", "experiment=trunk", "model=sssr", "data.path=collect/trajectories.h5", *QUIET,
+    run("train", "robot=trunk", "model=sssr", "data.path=collect/trajectories.h5", *QUIET,
         "outputs=[tip_x,tip_y,tip_z]", "model.delays=4", "hydra.run.dir=tip", cwd=at)
     run("export", "checkpoint=tip/model.ckpt", "artifact=tip_artifact", "formats=[]", "hydra.run.dir=tip_export",
         cwd=at)

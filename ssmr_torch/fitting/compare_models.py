@@ -32,7 +32,7 @@ def compare(data: TrajectoryDataset, models: Iterable | Mapping | None = None, *
     """Fit every model at its best to the training runs, and score all on the test runs, group by group.
 
     models: names or models; by default "auto", the model that is chosen from the data, and all baselines. "auto" is
-    `fit(data, "auto")`. A baseline ("dmd", "edmd", "edmd_relift", "edmd_bilinear", "koopman_lqr", "sssr", "ssmr",
+    `fit(data, "auto")`. A baseline ("dmd", "edmd", "edmd_relift", "edmd_bilinear", "static_pregain", "sssr", "ssmr",
     "ssmr_control_augmented") gets the same help: its output coordinates, delays, size, ridge and whether decays take
     part are chosen by the same rule on the same folds, see `choose_baseline`. Another kind ("neural_ode", "tpwl") is
     fitted as `fit` does. A `TrainedModel` is taken as it is; by name in a mapping.

@@ -117,7 +117,7 @@ def model_job(settings: Mapping, robot: str, method: str) -> Job:
     its, model = _robot(settings, robot), settings["models"].get(method)
     if model is None:
         raise ValueError(f"{robot} compares {method!r}; the models are {', '.join(settings['models'])}")
-    overrides = (f"experiment={its['experiment']}", f"model={model}", *_plant(its), f"name={quoted(method)}",
+    overrides = (f"robot={its['experiment']}", f"model={model}", *_plant(its), f"name={quoted(method)}",
                  *settings.get("training", ()), *settings.get("train", {}).get(method, ()),
                  *its.get("train", {}).get(method, ()))
     given, files, needs = _trajectories(its, robot)

@@ -18,7 +18,7 @@ SETTINGS = {
         "bench": {"plant": "diamond", "mesh": "a b's.vtu", "rig": "emulated_bench",
                   "bench": ["plant.stiffness_scale=0.9"],
                   "excitation": "diamond", "experiment": "hardware", "control": ["noise_std=0.0"],
-                  "methods": {"SSMR": ["controller=scp"]}, "train": {"SSMR": ["fit=guarded"]}}},
+                  "methods": {"SSMR": ["controller=scp"]}, "train": {"SSMR": ["fit=stability_guard"]}}},
     "figures": {
         "table": {"models": ["trunk", "bench"]},
         "delays": {"delays": "trunk", "record": {"figure": "letters", "method": "SSMR", "task": "S"}},
@@ -63,7 +63,7 @@ def test_a_figure_brings_those_that_it_uses():
 
 def recorded() -> dict:
     settings = deepcopy(SETTINGS)
-    settings["robots"]["real"] = {"data": "diamond_hardware", "experiment": "diamond_hardware", "methods": {"DMD": []}}
+    settings["robots"]["real"] = {"data": "real_diamond", "experiment": "real_diamond", "methods": {"DMD": []}}
     settings["figures"]["map"]["open_loop"].append("real")
     settings["figures"]["table"]["models"].append("real")
     return settings
@@ -74,7 +74,7 @@ def test_recordings_are_trained_on_and_scored_where_they_are_and_nothing_is_coll
     jobs = {job.name: job for job in flat(stages)}
     assert [job.name for job in stages["data"]] == ["data/trunk"]
     for name in ("models/real/DMD", "open_loop/real"):
-        assert {"data=diamond_hardware", "data.path='/a b'"} <= set(jobs[name].steps[0].overrides)
+        assert {"data=real_diamond", "data.path='/a b'"} <= set(jobs[name].steps[0].overrides)
         assert not jobs[name].steps[0].files
         assert not any("plant" in override for override in jobs[name].steps[0].overrides)
 
@@ -105,7 +105,7 @@ def test_the_bench_is_between_plant_and_controller_but_no_model_knows_of_it():
         assert {"plant=diamond", "plant.mesh='a b\\'s.vtu'", "rig=emulated_bench", "plant.stiffness_scale=0.9"} <= set(
             job.steps[0].overrides)
     train, export = model.steps
-    assert {"plant=diamond", "plant.mesh='a b\\'s.vtu'", "experiment=hardware", "model=ssmr", "fit=guarded",
+    assert {"plant=diamond", "plant.mesh='a b\\'s.vtu'", "robot=emulated_bench", "model=ssmr", "fit=stability_guard",
             "logger=csv", "name='SSMR'"} == set(train.overrides)
     assert export.files == {"checkpoint": "./model.ckpt", "artifact": "./artifact"}
     assert "noise_std=0.0" in run.steps[0].overrides and "controller.period=0.02" in run.steps[0].overrides
@@ -154,7 +154,7 @@ def test_a_key_changes_with_what_comes_before_and_with_nothing_else():
 def test_a_key_changes_with_a_configuration_and_so_do_those_after_it():
     jobs = flat(plan(SETTINGS))
     before = keys(jobs, as_given)
-    after = keys(jobs, lambda entry, overrides: as_given(entry, overrides) + "new" * ("experiment=trunk" in overrides))
+    after = keys(jobs, lambda entry, overrides: as_given(entry, overrides) + "new" * ("robot=trunk" in overrides))
     assert {name for name in before if before[name] != after[name]} == {
         job.name for job in jobs if "trunk" in job.name and not job.name.startswith("data/")}
 

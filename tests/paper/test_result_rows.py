@@ -40,8 +40,8 @@ def test_a_model_is_counted_in_whole_numbers():
 
 
 def test_the_note_of_a_tuned_file_is_its_comment_without_the_package_line():
-    assert note_of("# @package _global_\n# Best of 3 trials: -m sweep=x;\n# score 0.1.\nmodel:\n  # six\n  n: 6\n") == (
-        "Best of 3 trials: -m sweep=x; score 0.1.")
+    assert note_of("# @package _global_\n# Best of 3 trials: -m search=x;\n# score 0.1.\nmodel:\n  # six\n  n: 6\n") == (
+        "Best of 3 trials: -m search=x; score 0.1.")
     assert note_of("model: {}\n") == ""
 
 
