@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hydra.utils import instantiate
 
-from ssmr_torch.experiments.entry import entry_point, save_result
+from ssmr_torch.entry_point import entry_point, save_result
 
 
 @entry_point("commission")

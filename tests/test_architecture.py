@@ -31,7 +31,7 @@ HOMES = {
     "safetensors": ["deployment/artifact.py"],
     "onnx": ["deployment/onnx_program.py"], "onnxruntime": ["deployment/onnx_program.py"],
     "casadi": ["deployment/casadi_program.py"],
-    "hydra": ["configuration.py"], "omegaconf": ["configuration.py"],
+    "hydra": ["configuration.py", "entry_point.py"], "omegaconf": ["configuration.py", "entry_point.py"],
     "h5py": ["trajectory.py", "closed_loop/record.py", "commissioning/directory.py", "data/*",
              "collection/resumption.py", "paper/report_sections.py"],
     "yaml": ["data/recording_card.py", "commissioning/card.py"],
@@ -56,7 +56,7 @@ EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "contr
 # Who touches files; all else takes and returns arrays.
 TOUCHES_FILES = [
     "trajectory.py", "deployment/artifact.py", "deployment/checkpoint_twin.py", "closed_loop/record.py",
-    "provenance.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py", "commissioning/directory.py",
+    "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py", "commissioning/directory.py",
     "controller_design/report.py", "defaults.py", "data/*",
     "deployment/deploy.py", "fitting/by_kind.py", "fitting/checkpoints.py", "evaluation/*figures.py",
     "evaluation/report.py", "evaluation/report_sections.py",
@@ -293,7 +293,7 @@ PLANTED = [
         ("control/a.py", "from ssmr_torch.models import named_structures", "ssmr_torch.models.named_structures"),
         ("wire/a.py", "from importlib import import_module\nimport_module('ssmr_torch.models.base')",
          "ssmr_torch.models.base"),
-        ("wire/runner.py", "from ssmr_torch.experiments.entry import entry_point", "ssmr_torch.experiments.entry"),
+        ("wire/runner.py", "from ssmr_torch.experiments.train import main", "ssmr_torch.experiments.train"),
         ("fitting/a.py", "from ssmr_torch.paper import jobs", "ssmr_torch.paper"))],
     *[("only the named rooms touch files, and write aside", "control/a.py", code, f"control/a.py touches files: {what}")
       for code, what in (

@@ -108,7 +108,7 @@ def test_groups_of_ones_own_count_in_the_jobs_that_a_command_composes(tmp_path):
     (tmp_path / "conf" / "task" / "mine.yaml").write_text("defaults: [circle]\nradius: 0.0123\n")
     (tmp_path / "program.py").write_text(
         "from ssmr_torch.configuration import composed, own_folders\n"
-        "from ssmr_torch.experiments.entry import entry_point\n\n"
+        "from ssmr_torch.entry_point import entry_point\n\n"
         "@entry_point('report')\ndef main(config, directory):\n"
         "    print(composed('control', ['task=mine']).task.radius, *own_folders())\n\nmain()\n")
     done = subprocess.run([sys.executable, "program.py", "--config-dir", "conf", "directory=."], cwd=tmp_path,

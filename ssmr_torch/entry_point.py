@@ -1,8 +1,9 @@
-"""What all entry points share: configuration, one clear message on bad input, a result file."""
+"""What every command shares: its configuration by Hydra, one clear message on bad input, and result.json."""
+
+from __future__ import annotations
 
 import ctypes
 import functools
-import json
 import logging
 import os
 import sys
@@ -12,17 +13,17 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.types import RunMode
-from omegaconf import MissingMandatoryValue
+from omegaconf import DictConfig, MissingMandatoryValue, OmegaConf
 
-from ssmr_torch.configuration import register
+from ssmr_torch.configuration import folder, register
 from ssmr_torch.extras import remedy
+from ssmr_torch.provenance import provenance
 from ssmr_torch.quiet_libraries import quiet
+from ssmr_torch.result_files import save_json
 
-THEIRS = ("MisconfigurationException",)  # Lightning's word for a trainer that cannot be had
+THEIRS = ("MisconfigurationException",)  # what Lightning raises for a trainer that is not possible here
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of malloc.h
-
-CONF = str(Path(__file__).resolve().parent.parent / "conf")
 
 
 def entry_point(name: str):
@@ -48,7 +49,7 @@ def entry_point(name: str):
 
         look_here()
         register()
-        return hydra.main(version_base="1.3", config_path=CONF, config_name=name)(task)
+        return hydra.main(version_base="1.3", config_path=str(folder()), config_name=name)(task)
 
     return decorate
 
@@ -85,12 +86,9 @@ def keep_memory() -> None:
             mallopt(parameter, 1 << 30)
 
 
-def save_json(path: Path, content: dict) -> None:
-    """Write aside, then rename; infinite and undefined numbers become null."""
-    finite = json.loads(json.dumps(content), parse_constant=lambda _: None)
-    aside = path.with_name(path.name + ".part")
-    aside.write_text(json.dumps(finite, indent=2) + "\n")
-    os.replace(aside, path)
+def origin_of(config: DictConfig, resolve: bool = True) -> dict:
+    """`provenance` of a run with this configuration; resolve: its interpolations as well."""
+    return provenance(OmegaConf.to_container(config, resolve=resolve))
 
 
 def save_result(directory: Path, metrics: dict, **more) -> None:
