@@ -28,7 +28,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf, open_dict, read_write
 from tqdm import tqdm
 
-from ssmr_torch.configuration import composed, folder, own_folders
+from ssmr_torch.configuration import composed, own_folders
 from ssmr_torch.deployment import artifact
 from ssmr_torch.entry_point import entry_point, save_json
 from ssmr_torch.paper.job_configuration import configuration
@@ -269,8 +269,7 @@ def tables(directory: Path, settings: dict) -> None:
             if "period" in job.about]
     models = []
     for job in [job for job in done if "model" in job.about]:
-        tuned = Path(folder(), "tuned", job.about["experiment"], f"{job.about['model']}.yaml")
-        note = note_of(tuned.read_text() if tuned.is_file() else "")
+        note = note_of(read(directory / job.name / "report.json"))
         if own := settings["robots"][job.about["robot"]].get("train", {}).get(job.about["method"]):
             note = " ".join([f"Set by the preset: {' '.join(own)}.", *([f"The rest: {note}"] if note else [])])
         models.append(model_row(job.about, read(directory / job.name / "report.json")["cost"],

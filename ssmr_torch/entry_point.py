@@ -15,7 +15,7 @@ from hydra.errors import InstantiationException
 from hydra.types import RunMode
 from omegaconf import DictConfig, MissingMandatoryValue, OmegaConf
 
-from ssmr_torch.configuration import folder, register
+from ssmr_torch.configuration import folder, register, settings_lines
 from ssmr_torch.extras import remedy
 from ssmr_torch.provenance import provenance
 from ssmr_torch.quiet_libraries import quiet
@@ -37,6 +37,8 @@ def entry_point(name: str):
             keep_memory()
             directory = Path(HydraConfig.get().runtime.output_dir)
             try:
+                for line in settings_lines(config, HydraConfig.get().runtime.choices):
+                    print(line, flush=True)
                 return function(config, directory)
             except Exception as error:
                 cause = error.__cause__ or error if isinstance(error, InstantiationException) else error
@@ -68,7 +70,7 @@ def look_here() -> None:
 
 
 def refuse(message: str, directory: Path, error: Exception, expected: bool) -> float:
-    """A single run ends here; a job of a sweep is recorded as failed with an infinite metric, and the sweep goes on."""
+    """End a single run here; record a job of a multirun as failed, with an infinite metric, and let the others go on."""
     if HydraConfig.get().mode != RunMode.MULTIRUN:
         raise SystemExit(message) from error
     logging.getLogger(__name__).error(message, exc_info=None if expected else error)
@@ -91,7 +93,12 @@ def origin_of(config: DictConfig, resolve: bool = True) -> dict:
     return provenance(OmegaConf.to_container(config, resolve=resolve))
 
 
+def found_row(config: DictConfig) -> dict | None:
+    """The row of found settings that a run takes, as its configuration tells it; None without."""
+    return OmegaConf.to_container(config.found) if config.get("found") else None
+
+
 def save_result(directory: Path, metrics: dict, **more) -> None:
-    """result.json: the metrics of this job, and what else tells it from others, for the table of a sweep."""
+    """result.json: the metrics of this job, and what else tells it from others, for the table of a multirun."""
     save_json(directory / "result.json",
               {"overrides": list(HydraConfig.get().overrides.task), "metrics": metrics} | more)

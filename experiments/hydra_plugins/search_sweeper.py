@@ -1,4 +1,4 @@
-"""Hydra's name for a search by Optuna: `hydra/sweeper=search`. The search itself is `ssmr_torch.search.trials.Search`."""
+"""A search by Optuna as Hydra's sweeper: `hydra/sweeper=search`. It is `ssmr_torch.search.trials.Search`."""
 
 from hydra.core.plugins import Plugins
 from hydra.plugins.sweeper import Sweeper

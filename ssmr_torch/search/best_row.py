@@ -25,9 +25,10 @@ def save_best(directory: Path, config, rows: list[dict], first: str) -> str:
     """
     choices, best = config.hydra.runtime.choices, directory / rows[0]["job"]
     composed = OmegaConf.load(best / ".hydra" / "config.yaml")
+    metric, scale = ("ISE, mm²", 1e6) if first == "ise" else (first, 1.0)
     how = found_settings.facts(
         date=date.today().isoformat(), command=command(config), budget=budget(config), trials=len(rows),
-        seed=config.hydra.sweeper.sampler.get("seed"), metric=first, score=float(f"{rows[0][first]:.4g}"))
+        seed=config.hydra.sweeper.sampler.get("seed"), metric=metric, score=float(f"{scale * rows[0][first]:.4g}"))
     if choices.search.startswith(OF_A_CONTROLLER):
         part, (name, row) = "controllers", controller_row(choices, composed, overrides_of(best))
     else:

@@ -7,17 +7,18 @@ model: `settings`, and `found`, which says when and how they were found. A row o
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from omegaconf import OmegaConf
 
+from ssmr_torch.result_files import save_text
+
 PARTS = ("models", "controllers")
 FACTS = ("date", "command", "budget", "trials", "seed", "metric", "score", "note")
 HEADER = """\
-# Found settings of the robot {robot}: what searches found, for comparisons; docs/configuration.md.
-# settings=found takes a row of models, controller={robot}/NAME one of controllers. A search writes its row: save_to=FILE.
+# Found settings of the robot {robot}: what searches found, for comparisons; docs/comparison.md.
+# settings=found takes a row of models, controller={robot}/NAME one of controllers. A search writes a row: save_to=FILE.
 """
 
 
@@ -37,11 +38,8 @@ def read(path: Path) -> dict:
 
 def write(path: Path, robot: str, table: Mapping) -> None:
     """The table as a file, written aside and renamed into place."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     kept = OmegaConf.create({part: dict(table[part]) for part in PARTS if table.get(part)})
-    aside = path.with_name(path.name + ".part")
-    aside.write_text(HEADER.format(robot=robot) + OmegaConf.to_yaml(kept))
-    os.replace(aside, path)
+    save_text(path, HEADER.format(robot=robot) + OmegaConf.to_yaml(kept))
 
 
 def merge(path: Path, part: str, name: str, row: Mapping) -> None:
@@ -81,14 +79,19 @@ def lines(found: Mapping | None, choices: Mapping, has_row) -> Iterator[str]:
     found: `found` of its configuration; choices: option by group, as Hydra gives them; has_row(robot, model): whether
     a table has it. Raises ValueError for settings=found without a robot.
     """
-    model, robot = choices.get("model"), choices.get("robot")
+    model, robot, controller = (choices.get(group) for group in ("model", "robot", "controller"))
     asked = choices.get("settings") == "found"
     if asked and not robot:
         raise ValueError("settings=found takes the found settings of a robot, and none is given; add robot=NAME, or "
                          "leave out settings=found for the defaults")
     if found:
         yield in_words(found)
+    elif model and asked:
+        yield (f"no found settings: found/{robot}.yaml has no row models.{model}; the defaults of "
+               f"conf/model/{model}.yaml")
     elif model:
-        row = asked and f"no row {model} in conf/found/{robot}.yaml" or robot and has_row(robot, model) and \
-            f"settings=found takes the row {model} of conf/found/{robot}.yaml"
-        yield f"settings: the defaults of conf/model/{model}.yaml{f'; {row}' if row else ''}"
+        other = f"; settings=found takes row models.{model} of found/{robot}.yaml" if robot and has_row(robot, model) \
+            else ""
+        yield f"no found settings: the defaults of conf/model/{model}.yaml{other}"
+    elif controller:
+        yield f"no found settings: the defaults of conf/controller/{controller}.yaml"

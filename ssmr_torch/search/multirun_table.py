@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import json
-import os
 from pathlib import Path
 
 from hydra.experimental.callback import Callback
+
+from ssmr_torch.result_files import save_csv
 
 
 class MultirunTable(Callback):
@@ -26,7 +26,7 @@ class MultirunTable(Callback):
         columns = list(dict.fromkeys(column for row in sorted(rows, key=lambda row: "failed" in row) for column in row))
         first = next((column for column in columns[3:] if column != "failed"), "job")
         rows.sort(key=lambda row: (row.get(first) is None, row.get(first)))
-        save(directory / "sweep.csv", rows, columns)
+        save_csv(directory / "sweep.csv", [dict.fromkeys(columns) | row for row in rows])
         choices = config.hydra.runtime.choices
         if choices.get("study"):
             draw_study(directory, config.study)
@@ -77,19 +77,9 @@ def draw_study(directory: Path, study) -> None:
 
     rows = study_rows(results(directory), study.axis)
     if rows:
-        save(directory / "study.csv", rows, list(rows[0]))
+        save_csv(directory / "study.csv", rows)
         drawing = study_figures.trend(rows, study.axis, study.label, study.get("scale", 1.0))
         figures.save(drawing, directory / "study.svg")
-
-
-def save(path: Path, rows: list[dict], columns: list[str]) -> None:
-    """Rows as a CSV file, written aside and renamed into place."""
-    aside = path.with_name(path.name + ".part")
-    with open(aside, "w", newline="") as file:
-        writer = csv.DictWriter(file, columns)
-        writer.writeheader()
-        writer.writerows(rows)
-    os.replace(aside, path)
 
 
 def show(directory: Path, rows: list[dict], columns: list[str], first: str, standing: list[dict]) -> None:

@@ -13,11 +13,11 @@ SETTINGS = {
     "train": {"neural ODE": ["fit.training.minutes=1"]},
     "control": ["picture=false"],
     "robots": {
-        "trunk": {"plant": "trunk_coarse", "mesh": None, "rig": "ideal", "excitation": "trunk", "experiment": "trunk",
+        "trunk": {"plant": "trunk_coarse", "mesh": None, "rig": "ideal", "excitation": "trunk", "robot": "trunk",
                   "methods": {"SSMR": ["controller=scp_trunk"], "neural ODE": ["controller=scp"], "DMD": []}},
         "bench": {"plant": "diamond", "mesh": "a b's.vtu", "rig": "emulated_bench",
                   "bench": ["plant.stiffness_scale=0.9"],
-                  "excitation": "diamond", "experiment": "hardware", "control": ["noise_std=0.0"],
+                  "excitation": "diamond", "robot": "emulated_bench", "control": ["noise_std=0.0"],
                   "methods": {"SSMR": ["controller=scp"]}, "train": {"SSMR": ["fit=stability_guard"]}}},
     "figures": {
         "table": {"models": ["trunk", "bench"]},
@@ -63,7 +63,7 @@ def test_a_figure_brings_those_that_it_uses():
 
 def recorded() -> dict:
     settings = deepcopy(SETTINGS)
-    settings["robots"]["real"] = {"data": "real_diamond", "experiment": "real_diamond", "methods": {"DMD": []}}
+    settings["robots"]["real"] = {"data": "real_diamond", "robot": "real_diamond", "methods": {"DMD": []}}
     settings["figures"]["map"]["open_loop"].append("real")
     settings["figures"]["table"]["models"].append("real")
     return settings
