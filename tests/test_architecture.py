@@ -31,7 +31,10 @@ HOMES = {
     "safetensors": ["deployment/artifact.py"],
     "onnx": ["deployment/onnx_program.py"], "onnxruntime": ["deployment/onnx_program.py"],
     "casadi": ["deployment/casadi_program.py"],
-    "hydra": ["configuration.py", "entry_point.py"], "omegaconf": ["configuration.py", "entry_point.py"],
+    "hydra": ["configuration.py", "entry_point.py", "search/*"],
+    "omegaconf": ["configuration.py", "entry_point.py", "option_tables.py", "search/best_row.py",
+                  "search/found_settings.py"],
+    "optuna": ["search/space.py", "search/trials.py"],
     "h5py": ["trajectory.py", "closed_loop/record.py", "commissioning/directory.py", "data/*",
              "collection/resumption.py", "paper/report_sections.py"],
     "yaml": ["data/recording_card.py", "commissioning/card.py"],
@@ -56,8 +59,9 @@ EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "contr
 # Who touches files; all else takes and returns arrays.
 TOUCHES_FILES = [
     "trajectory.py", "deployment/artifact.py", "deployment/checkpoint_twin.py", "closed_loop/record.py",
-    "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py", "commissioning/directory.py",
-    "controller_design/report.py", "defaults.py", "data/*",
+    "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py",
+    "commissioning/directory.py",
+    "controller_design/report.py", "defaults.py", "data/*", "search/*",
     "deployment/deploy.py", "fitting/by_kind.py", "fitting/checkpoints.py", "evaluation/*figures.py",
     "evaluation/report.py", "evaluation/report_sections.py",
     "paper/report_sections.py",
