@@ -24,7 +24,7 @@ def main(config, directory):
         progress=config.progress)
     record.save(directory / "record.h5")
     if config.picture:
-        from ssmr_torch.evaluation.deformation import draw_robot
+        from ssmr_torch.closed_loop.deformation import draw_robot
 
         draw_robot(plant, record, directory, config.animate, task.obstacles)
     save_json(directory / "metrics.json", report.facts)

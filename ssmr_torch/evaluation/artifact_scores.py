@@ -9,8 +9,8 @@ from pathlib import Path
 from ssmr_torch.deployment import artifact
 from ssmr_torch.evaluation import figures
 from ssmr_torch.evaluation.comparison_tables import comparison_table, format_groups, stored
-from ssmr_torch.evaluation.report_sections import prediction_figures
 from ssmr_torch.evaluation.run_groups import GroupedScores, compare_groups
+from ssmr_torch.report.run_sections import prediction_figures
 from ssmr_torch.result_files import save_json, save_text
 from ssmr_torch.trajectory import TrajectoryDataset
 

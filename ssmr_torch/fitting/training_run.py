@@ -77,7 +77,7 @@ def compared(metric: str, scores: Mapping[str, float], searched: bool) -> float 
 def draw(report: Mapping, eigenvalues, directory: Path) -> None:
     """Singular values and eigenvalues as figures in the directory; without the extra plots they are not imported."""
     from ssmr_torch.evaluation import figures
-    from ssmr_torch.evaluation.report_sections import training_figures
+    from ssmr_torch.report.run_sections import training_figures
 
     for name, figure in training_figures(report, eigenvalues).items():
         figures.save(figure, directory / f"{name}.svg")

@@ -76,7 +76,7 @@ def test_python_takes_found_settings_as_the_command_does(tmp_path, capsys):
     (tmp_path / "robot").mkdir()
     (tmp_path / "robot" / "arm.yaml").write_text("# @package _global_\noutputs: null\n")
     model = fit(_dataset(), "dmd", robot="arm", settings="found", config_dir=tmp_path)
-    assert model.card["model"]["delays"] == 3
+    assert model.delays == 3
     assert model.card["provenance"]["training"]["configuration"]["found"]["row"] == "models.dmd"
     assert "found settings: row models.dmd of" in capsys.readouterr().out
 
