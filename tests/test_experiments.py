@@ -97,8 +97,8 @@ def trunk_line(tmp_path_factory):
     process.wait()
     kept = {path: path.stat().st_mtime_ns for path in at.glob("collect/recorded/*.h5")}
     run("collect", *TRUNK, *short, cwd=at)
-    run("train", "robot=trunk", "model=sssr", "data.path=collect/trajectories.h5", *QUIET, "hydra.run.dir=train",
-        cwd=at)
+    run("train", "robot=trunk", "model=sssr", "settings=found", "data.path=collect/trajectories.h5", *QUIET,
+        "hydra.run.dir=train", cwd=at)
     run("export", "checkpoint=train/model.ckpt", "artifact=artifact", "hydra.run.dir=export", cwd=at)
     run("control", *TRUNK, "artifact=artifact", "controller=scp_trunk", "task=letter", "task.duration=4.0",
         "task.half_size=0.008", "progress=false", "animate=true", "hydra.run.dir=control", cwd=at)
@@ -268,7 +268,7 @@ def test_a_controller_is_searched_on_a_task_of_its_own_and_its_best_settings_are
 @pytest.mark.slow
 def test_a_model_of_the_tip_controls_a_robot_that_shows_more(trunk_line):
     at, _ = trunk_line
-    run("train", "robot=trunk", "model=sssr", "data.path=collect/trajectories.h5", *QUIET,
+    run("train", "robot=trunk", "model=sssr", "settings=found", "data.path=collect/trajectories.h5", *QUIET,
         "outputs=[tip_x,tip_y,tip_z]", "model.delays=4", "hydra.run.dir=tip", cwd=at)
     run("export", "checkpoint=tip/model.ckpt", "artifact=tip_artifact", "formats=[]", "hydra.run.dir=tip_export",
         cwd=at)

@@ -17,7 +17,7 @@ from ssmr_torch.result_files import save_text
 PARTS = ("models", "controllers")
 FACTS = ("date", "command", "budget", "trials", "seed", "metric", "score", "note")
 HEADER = """\
-# Found settings of the robot {robot}: what searches found, for comparisons; docs/comparison.md.
+# Found settings of the robot {robot}: what searches found, for comparisons; docs/training.md.
 # settings=found takes a row of models, controller={robot}/NAME one of controllers. A search writes a row: save_to=FILE.
 """
 
