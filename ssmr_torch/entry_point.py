@@ -19,6 +19,7 @@ from ssmr_torch.configuration import folder, register, settings_lines
 from ssmr_torch.extras import remedy
 from ssmr_torch.provenance import provenance
 from ssmr_torch.quiet_libraries import quiet
+from ssmr_torch.renamed import refuse_old_names
 from ssmr_torch.result_files import save_json
 
 THEIRS = ("MisconfigurationException",)  # what Lightning raises for a trainer that is not possible here
@@ -51,9 +52,23 @@ def entry_point(name: str):
 
         look_here()
         register()
-        return hydra.main(version_base="1.3", config_path=str(folder()), config_name=name)(task)
+        return in_names_of_this_version(name, hydra.main(version_base="1.3", config_path=str(folder()),
+                                                         config_name=name)(task))
 
     return decorate
+
+
+def in_names_of_this_version(name: str, main):
+    """main, which ends in one message where the command line has names of earlier versions."""
+    @functools.wraps(main)
+    def checked(*given):
+        try:
+            refuse_old_names(sys.argv[1:] if not given else ())
+        except ValueError as error:
+            raise SystemExit(f"{name}: {error}") from error
+        return main(*given)
+
+    return checked
 
 
 def not_given(error: Exception) -> str | None:

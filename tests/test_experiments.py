@@ -204,7 +204,7 @@ def test_training_resumes_as_it_was_begun_and_can_be_refined_by_rollouts(line):
     assert after["validation/rmse"] <= before["validation/rmse"]
     assert (line / "refined" / "checkpoints" / "refinement" / "best.ckpt").is_file()
     changed = start("train", *same, "model.delays=2", "resume=true", cwd=line)
-    assert "was begun with model.delays=1, now it is 2" in changed.stderr and "Traceback" not in changed.stderr
+    assert "was started with model.delays=1, but now it is 2" in changed.stderr and "Traceback" not in changed.stderr
     elsewhere = start("train", *same[:-1], "resume=true", "hydra.run.dir=elsewhere", cwd=line)
     assert "there are no checkpoints below" in elsewhere.stderr
 

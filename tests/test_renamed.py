@@ -1,5 +1,8 @@
 """Names of earlier versions: those that a user types are refused with the new name, those in files are understood."""
 
+import subprocess
+import sys
+
 import pytest
 
 from ssmr_torch import command, configuration, fit, renamed
@@ -29,6 +32,12 @@ def test_the_new_name_composes_and_the_old_one_is_refused_in_python(old, new):
     with pytest.raises(ValueError, match="since version 0.11"):
         configuration.composed(entry, [old])
     configuration.composed(entry, [new.partition(",")[0]])
+
+
+def test_a_script_refuses_old_names_as_its_command_does(tmp_path):
+    script = command.script("train")
+    done = subprocess.run([sys.executable, script, "experiment=trunk"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 1 and done.stderr == "train: experiment=trunk is robot=trunk since version 0.11\n"
 
 
 @pytest.mark.parametrize("argument", ["~tuned", "tuned=trunk/ssmr"])
