@@ -33,7 +33,7 @@ def save_best(directory: Path, config, rows: list[dict], first: str) -> str:
         part, (name, row) = "controllers", controller_row(choices, composed, overrides_of(best))
     else:
         part, (name, row) = "models", (choices.model, {"settings": model_settings(composed, overrides_of(best))})
-    row |= {"found": how}
+    row = {"found": how} | row
     table = directory / "found.yaml"
     found_settings.write(table, choices.get("robot") or "ROBOT", {part: {name: row}})
     told = f"found settings, row {part}.{name}: {table}"
