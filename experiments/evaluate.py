@@ -10,7 +10,7 @@ from ssmr_torch.entry_point import entry_point, origin_of, save_result
 
 @entry_point("evaluate")
 def main(config, directory):
-    from ssmr_torch.evaluation.artifact_scores import score_artifacts
+    from ssmr_torch.report.artifact_scores import score_artifacts
 
     paths = [config.artifact] if isinstance(config.artifact, str) else list(config.artifact)
     scores = score_artifacts(paths, lambda: instantiate(config.data), split=config.split, kind=config.kind,

@@ -19,7 +19,7 @@ from ssmr_torch.renamed import COMMANDS as RENAMED
 from ssmr_torch.renamed import SINCE, refuse_old_names
 
 COMMANDS = ("collect", "check", "train", "compare", "export", "evaluate", "design", "control", "commission",
-            "serve-controller", "serve-plant", "report", "delay-study", "reproduce")
+            "serve-controller", "serve-plant", "report", "delay-study", "reproduce", "benchmark")
 SEARCH = "search="
 COMPLETION = ("-sc", "--shell-completion")  # as Hydra has it
 

@@ -24,10 +24,9 @@ from hydra.plugins.config_source import ConfigResult
 from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from ssmr_torch import option_tables
+from ssmr_torch import found_settings, option_tables
 from ssmr_torch.defaults import is_library, keyword_defaults
 from ssmr_torch.renamed import refuse_old_names
-from ssmr_torch.search import found_settings
 
 HERE = Path(__file__).resolve().parent
 SOURCE = "file"

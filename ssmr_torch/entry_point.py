@@ -7,9 +7,11 @@ import functools
 import logging
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import hydra
+from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.types import RunMode
@@ -69,6 +71,12 @@ def in_names_of_this_version(name: str, main):
         return main(*given)
 
     return checked
+
+
+def offer(group: str, options: Mapping[str, Mapping]) -> None:
+    """Offer options of a group that no file holds: GROUP=NAME puts the keys of the option at the top level."""
+    for name, node in options.items():
+        ConfigStore.instance().store(group=group, name=name, package="_global_", node=dict(node))
 
 
 def not_given(error: Exception) -> str | None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from omegaconf import OmegaConf
 
-from ssmr_torch.search import found_settings
+from ssmr_torch import found_settings
 
 TABLES, FOUND = "groups", "found"
 OF_MODELS, OF_CONTROLLERS, SAID = "row/found/", "controller/", "row/controllers/"

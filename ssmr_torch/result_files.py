@@ -12,10 +12,15 @@ from pathlib import Path
 
 def save_text(path: Path, text: str) -> Path:
     """Write a text file in UTF-8; missing folders are made."""
+    return save_bytes(path, text.encode())
+
+
+def save_bytes(path: Path, content: bytes) -> Path:
+    """Write a file; missing folders are made."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(path.name + ".part")
-    aside.write_text(text, encoding="utf-8")
+    aside.write_bytes(content)
     os.replace(aside, path)
     return path
 

@@ -15,6 +15,8 @@ from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from ssmr_torch import __version__, command, extras
+from ssmr_torch.benchmarks.catalogue import NAMES, as_overrides, settings_of
+from ssmr_torch.entry_point import offer
 
 ROOT = Path(__file__).resolve().parents[1]
 CONF, EXPERIMENTS = ROOT / "conf", ROOT / "experiments"
@@ -190,7 +192,9 @@ def documented():
     for path in DOCUMENTS:
         text = path.read_text(encoding="utf-8").replace("\\\n", " ")
         for name, rest in NAMED.findall(text):
-            words = [word for word in shlex.split(rest, posix=True) if "=" in word]
+            given = shlex.split(rest, posix=True)
+            given = as_overrides(given) if name == "benchmark" and given else given
+            words = [word for word in given if "=" in word]
             kept = tuple(word for word in words if not OF_THE_READER.search(word.partition("=")[2])
                          and not word.endswith("…"))
             own = re.search(r"--config-dir (\S+)", rest)
@@ -202,6 +206,7 @@ def documented():
 
 @pytest.fixture(scope="module")
 def configurations():
+    offer("benchmark", {name: settings_of(name) for name in NAMES})
     with initialize_config_dir(str(CONF), version_base="1.3"):
         yield
 

@@ -12,7 +12,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from ssmr_torch import configuration
+from ssmr_torch import configuration, found_settings
 from ssmr_torch.closed_loop.rerun_view import RerunView
 from ssmr_torch.data.derivatives import Stencil
 from ssmr_torch.fitting.lightning_fit import ModelFit
@@ -21,7 +21,6 @@ from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.ssmr import SSSR
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.plants.emulated_rig import Rig
-from ssmr_torch.search import found_settings
 from ssmr_torch.tasks.references import Task
 from ssmr_torch.trajectory import TrajectoryDataset
 

@@ -14,10 +14,9 @@ from typing import NamedTuple
 
 import pytest
 
-from ssmr_torch import command
+from ssmr_torch import command, found_settings
 from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.deployment import artifact
-from ssmr_torch.search import found_settings
 from ssmr_torch.search.multirun_table import baselines
 from ssmr_torch.trajectory import TrajectoryDataset
 

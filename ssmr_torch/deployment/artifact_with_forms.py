@@ -22,8 +22,8 @@ def source_of(directory: str | Path, checkpoint: str | None, mat: str | None) ->
         raise ValueError("give either checkpoint=FILE.ckpt or mat=FILE.mat, or artifact=DIR of an existing artifact, "
                          "to write its deployable forms")
     if mat is not None and find_spec("ssmr_torch.paper") is None:
-        raise ValueError(f"mat={mat} is a model that the paper's authors published; ssmr_torch/paper reads it, and that "
-                         "folder is not installed here")
+        raise ValueError(f"mat={mat} is a model that the paper's authors published; ssmr_torch/paper reads it, "
+                         "which is not installed here")
     return given[0] if given else None
 
 

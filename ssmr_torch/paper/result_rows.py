@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from ssmr_torch.search.found_settings import in_words
+from ssmr_torch.found_settings import in_words
 
 RUN_COLUMNS = ("figure", "robot", "method", "task", "seed", "period", "real_time", "ise", "rmse", "max_error",
                "violation_ratio", "max_violation", "solve_median", "solve_p99", "fallbacks", "record")

@@ -9,8 +9,8 @@ from pathlib import Path
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
+from ssmr_torch import found_settings
 from ssmr_torch.renamed import kind_now
-from ssmr_torch.search import found_settings
 
 SECTIONS = ("model", "fit", "derivative")  # of a training's configuration, that a search may set
 OF_A_CONTROLLER = "controller/"  # beginning of the options of search that search a controller

@@ -5,8 +5,8 @@ import json
 import pytest
 from omegaconf import OmegaConf
 
-from ssmr_torch import configuration, fit
-from ssmr_torch.search import best_row, found_settings
+from ssmr_torch import configuration, fit, found_settings
+from ssmr_torch.search import best_row
 
 ROW = {"found": {"date": "2026-11-30", "metric": "validation/rmse", "score": 1.0e-5, "trials": 3},
        "settings": {"model": {"delays": 4}, "fit": {"closed_form": {"ridge": {"default": 4.2524551443780844e-10}}}}}
