@@ -17,18 +17,25 @@ MODULES = {
     "ssmr_torch.control.qp": "ssmr_torch.control.quadratic_program",
     "ssmr_torch.control.settings": "ssmr_torch.control.mpc_settings",
 }
+# Names that have moved alone: what asks for the old one is told the new one, what a saved file names is found.
+NAMES = {
+    "ssmr_torch.tasks.pacman": "ssmr_torch.paper.tasks.pacman",
+    "ssmr_torch.tasks.symbols.pacman": "ssmr_torch.paper.tasks.pacman",
+}
 
 
 def current(target: str) -> str:
     """The dotted path of a class or function as it is now, from one that an earlier version wrote."""
     module, _, name = target.rpartition(".")
+    if target in NAMES:
+        return NAMES[target]
     return f"{MODULES.get(module, module)}.{name}"
 
 
 # What a user of version 0.10 and older types. It is refused with the new name, for one version.
 SINCE = "0.11"
 COMMANDS = {"serve": "serve-controller"}
-GROUPS = {"sweep": "search", "tuning": "search", "experiment": "robot"}  # group → group
+GROUPS = {"sweep": "search", "tuning": "search", "experiment": "robot", "launcher": "executor"}  # group → group
 ROBOTS = {"hardware": "emulated_bench", "trunk_hardware": "real_trunk", "diamond_hardware": "real_diamond",
           "diamond_simulated": "authors_simulated_diamond"}
 KINDS = {"koopman_lqr": "static_pregain", "ssmr_guarded": "ssmr_stability_guard"}  # of models
@@ -49,6 +56,7 @@ OPTIONS = {  # group, as it was called → option → option
         for method in ("control_augmented", "dmd", "edmd", "koopman_lqr", "neural_ode", "ssmr", "sssr", "tpwl")
         if robot != "hardware" or method not in ("dmd", "neural_ode")},
     "hydra/sweeper": {"study": "search"},
+    "launcher": {"basic": "local"},  # of reproduce
 }
 
 

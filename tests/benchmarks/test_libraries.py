@@ -1,20 +1,16 @@
 """Own parts and libraries are compared on what both compute; none of the times is judged. See docs/libraries.md."""
 
-import importlib
 import re
-from pathlib import Path
 
 import pytest
 
-BENCHMARKS = Path(__file__).parents[1] / "experiments" / "benchmarks"
+from ssmr_torch.benchmarks import libraries as benchmark
 
 
 @pytest.fixture
 def libraries(monkeypatch):
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    found = importlib.import_module("libraries")
-    monkeypatch.setattr(found, "REPEATS", 1)
-    return found
+    monkeypatch.setattr(benchmark, "REPEATS", 1)
+    return benchmark
 
 
 def number(text, pattern):
