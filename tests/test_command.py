@@ -24,7 +24,7 @@ SSMR = Path(sys.executable).with_name("ssmr")
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), ROOT / "docs/tutorials/your_own_data.py",
              *(command.script(name) for name in command.COMMANDS)]
 NAMED = re.compile(rf"\bssmr ({'|'.join(command.COMMANDS)})\b((?: (?![|#])(?:\\\n)?[^`#\n;]*)?)")
-OF_THE_READER = re.compile(r"…|^[A-Z]+$|^(MODEL|EXPERIMENT|ROBOT)")  # what stands for something of the reader's own
+OF_THE_READER = re.compile(r"…|^[A-Z]+$|^(MODEL|ROBOT)")  # what stands for something of the reader's own
 
 
 def ssmr(*arguments, **environment):
@@ -139,7 +139,7 @@ def test_a_class_of_ones_own_is_found_in_the_working_directory_and_results_lie_t
 
 @pytest.mark.parametrize(("line", "expected", "unexpected"), [
     ("ssmr tr", {"train"}, set()), ("ssmr ", set(command.COMMANDS), set()),
-    ("ssmr train model=ss", {"model=ssmr", "model=sssr", "model=ssmr_guarded"}, {"model=dmd"}),
+    ("ssmr train model=ss", {"model=ssmr", "model=sssr", "model=ssmr_stability_guard"}, {"model=dmd"}),
     ("ssmr serve-plant plant=trunk_", {"plant=trunk_coarse"}, {"plant=diamond"}),
     ("ssmr nothing model=", set(), {"model=ssmr"})])
 def test_the_shell_completes_commands_and_options(line, expected, unexpected):
@@ -163,9 +163,9 @@ def test_without_hydra_a_command_says_what_to_install():
 
 def test_without_optuna_a_search_says_what_to_install():
     code = "import sys; sys.modules['optuna'] = None; from ssmr_torch.command import main; sys.exit(main())"
-    done = subprocess.run([sys.executable, "-c", code, "train", "-m", "sweep=ssmr"], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", code, "train", "-m", "search=ssmr"], capture_output=True, text=True)
     assert done.returncode == 1
-    assert done.stderr == "ssmr train: optuna is not installed: pip install 'ssmr_torch[sweeps]'\n"
+    assert done.stderr == "ssmr train: optuna is not installed: pip install 'ssmr_torch[search]'\n"
 
 
 def test_without_torch_a_command_says_what_to_install(tmp_path):
@@ -183,7 +183,7 @@ def test_every_package_that_a_message_names_is_brought_by_that_extra():
     for module, extra in extras.BROUGHT_BY.items():
         names = {name.lower() for name in distributions.get(module, [module])} | {extra == "view" and "rerun-sdk"}
         required = {re.split(r"[\[<>=!; ]", line)[0].lower() for line in brought[extra]}
-        assert names & required or extra in ("parallel", "sweeps"), (module, extra)
+        assert names & required or extra == "parallel", (module, extra)
     assert len(project["dependencies"]) == 4
 
 
@@ -194,7 +194,7 @@ def documented():
         for name, rest in NAMED.findall(text):
             given = shlex.split(rest, posix=True)
             given = as_overrides(given) if name == "benchmark" and given else given
-            words = [word for word in given if "=" in word or word == "~tuned"]
+            words = [word for word in given if "=" in word]
             kept = tuple(word for word in words if not OF_THE_READER.search(word.partition("=")[2])
                          and not word.endswith("…"))
             own = re.search(r"--config-dir (\S+)", rest)

@@ -34,6 +34,7 @@ from ssmr_torch.controller_design.recordings import Recordings, held_out, record
 from ssmr_torch.controller_design.report import DesignReport
 from ssmr_torch.controller_design.weights import choose_weights
 from ssmr_torch.provenance import provenance
+from ssmr_torch.renamed import kind_now
 from ssmr_torch.trained_model import TrainedModel
 from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 
@@ -199,7 +200,7 @@ def _kind_of(model: TrainedModel) -> str:
         raise ValueError(f"the inputs that act are not the commands, so that {model.name} must be fitted again; its "
                          "card does not tell its kind: give a kind by name, such as 'ssmr', or a model that this "
                          "version's fit made")
-    return kind
+    return kind_now(kind)
 
 
 def _bar(shown: bool):

@@ -149,14 +149,14 @@ def model_job(settings: Mapping, robot: str, method: str) -> Job:
     its, model = _robot(settings, robot), settings["models"].get(method)
     if model is None:
         raise ValueError(f"{robot} compares {method!r}; the models are {', '.join(settings['models'])}")
-    overrides = (f"experiment={its['experiment']}", f"model={model}", *_plant(its), f"name={quoted(method)}",
+    overrides = (f"robot={its['robot']}", f"model={model}", *_plant(its), f"name={quoted(method)}",
                  *settings.get("training", ()), *settings.get("train", {}).get(method, ()),
                  *its.get("train", {}).get(method, ()))
     given, files, needs = _trajectories(its, robot)
     train = Step("train", (*overrides, *given), files)
     export = Step("export", ("formats=[]",), {"checkpoint": "./model.ckpt", "artifact": "./artifact"})
     return Job(_model_name(robot, method), f"{_model_name(robot, method)}/artifact/card.json", (train, export),
-               needs, {"robot": robot, "method": method, "model": model, "experiment": its["experiment"]})
+               needs, {"robot": robot, "method": method, "model": model})
 
 
 def open_loop_job(settings: Mapping, robot: str) -> Job:

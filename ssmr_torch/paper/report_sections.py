@@ -20,7 +20,7 @@ from ssmr_torch.paper.verdicts import REFERENCE, Results, Run, judge, loops, tal
 from ssmr_torch.report.html_page import Picture, Section, Table
 
 HORIZONS = ("50 ms", "200 ms", "1 s")
-BENCHES = ("hardware", "recordings")  # the emulated one, and recordings of the real one
+BENCHES = ("emulated_bench", "recordings")  # the emulated one, and recordings of the real one
 NOT_A_NUMBER = {"figure", "robot", "method", "task", "record", "command", "real_time"}
 
 
@@ -68,7 +68,7 @@ def _summary(results: Results, experiments: Sequence[str], missing: Sequence[str
                for kind in ("reproduced", "better", "refuted", "not judged")}
     parts = [f"Of {len(verdicts)} tables and figures {', '.join(f'{n} {kind}' for kind, n in counted.items() if n)}. "
              "Refuted: the claim does not hold here. Better: it holds, and the number that the paper prints of SSMR is "
-             "surpassed. The robots are finite-element models of our own and the hardware is emulated: numbers compare "
+             "surpassed. The robots are finite-element models of our own and the bench is emulated: numbers compare "
              "within this report first. Where the settings of a model were searched, its table says how.",
              *([f"Left out, as their data are missing: {', '.join(missing)}."] if missing else []),
              Table(["", "claim", "verdict", "reason"],

@@ -6,7 +6,6 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ssmr_torch.configuration import folder
 from ssmr_torch.paper.jobs import Job
 from ssmr_torch.paper.result_rows import model_row, note_of, run_row
 from ssmr_torch.result_files import save_csv
@@ -31,9 +30,8 @@ def read_json(path: Path) -> dict:
 
 
 def _model(directory: Path, settings: Mapping, job: Job) -> dict:
-    tuned = Path(folder(), "tuned", job.about["experiment"], f"{job.about['model']}.yaml")
-    note = note_of(tuned.read_text() if tuned.is_file() else "")
+    report = read_json(directory / job.name / "report.json")
+    note = note_of(report)
     if own := settings["robots"][job.about["robot"]].get("train", {}).get(job.about["method"]):
         note = " ".join([f"Set by the preset: {' '.join(own)}.", *([f"The rest: {note}"] if note else [])])
-    return model_row(job.about, read_json(directory / job.name / "report.json")["cost"],
-                     read_json(directory / job.product)["model"], note)
+    return model_row(job.about, report["cost"], read_json(directory / job.product)["model"], note)

@@ -68,10 +68,10 @@ def test_a_value_in_the_parent_of_a_controller_changes_the_runs_that_inherit_it_
 
 
 def test_a_value_in_what_trains_all_models_changes_these_and_all_that_is_made_of_them(conf, done):
-    """train.yaml names trainer/cpu.yaml, no job does."""
+    """train.yaml names trainer=cpu, the first entry of groups/trainer.yaml; no job does."""
     assert not [step for job in jobs() for step in job.steps if "trainer=cpu" in step.overrides]
     trained = {job.name for job in jobs() if not job.name.startswith("data/")}
-    assert changed(done, conf / "trainer" / "cpu.yaml", "gradient_clip_val: 0.5") == trained
+    assert changed(done, conf / "groups" / "trainer.yaml", "gradient_clip_val: 0.5") == trained
 
 
 def test_a_comment_changes_nothing(conf, done):

@@ -13,12 +13,12 @@ SETTINGS = {
     "train": {"neural ODE": ["fit.training.minutes=1"]},
     "control": ["picture=false"],
     "robots": {
-        "trunk": {"plant": "trunk_coarse", "mesh": None, "rig": "ideal", "excitation": "trunk", "experiment": "trunk",
+        "trunk": {"plant": "trunk_coarse", "mesh": None, "rig": "ideal", "excitation": "trunk", "robot": "trunk",
                   "methods": {"SSMR": ["controller=scp_trunk"], "neural ODE": ["controller=scp"], "DMD": []}},
         "bench": {"plant": "diamond", "mesh": "a b's.vtu", "rig": "emulated_bench",
                   "bench": ["plant.stiffness_scale=0.9"],
-                  "excitation": "diamond", "experiment": "hardware", "control": ["noise_std=0.0"],
-                  "methods": {"SSMR": ["controller=scp"]}, "train": {"SSMR": ["fit=guarded"]}}},
+                  "excitation": "diamond", "robot": "emulated_bench", "control": ["noise_std=0.0"],
+                  "methods": {"SSMR": ["controller=scp"]}, "train": {"SSMR": ["fit=stability_guard"]}}},
     "figures": {
         "table": {"models": ["trunk", "bench"]},
         "delays": {"delays": "trunk", "record": {"figure": "letters", "method": "SSMR", "task": "S"}},
@@ -62,7 +62,7 @@ def test_a_figure_brings_those_that_it_uses():
 
 def recorded() -> dict:
     settings = deepcopy(SETTINGS)
-    settings["robots"]["real"] = {"data": "diamond_hardware", "experiment": "diamond_hardware", "methods": {"DMD": []}}
+    settings["robots"]["real"] = {"data": "real_diamond", "robot": "real_diamond", "methods": {"DMD": []}}
     settings["figures"]["map"]["open_loop"].append("real")
     settings["figures"]["table"]["models"].append("real")
     return settings
@@ -72,7 +72,7 @@ def test_recordings_are_trained_on_and_scored_where_they_are_and_nothing_is_coll
     jobs = {job.name: job for job in plan(recorded(), "map", str(tmp_path)).jobs}
     assert [name for name in jobs if name.startswith("data/")] == ["data/trunk"]
     for name in ("models/real/DMD", "open_loop/real"):
-        assert {"data=diamond_hardware", f"data.path='{tmp_path}'"} <= set(jobs[name].steps[0].overrides)
+        assert {"data=real_diamond", f"data.path='{tmp_path}'"} <= set(jobs[name].steps[0].overrides)
         assert not jobs[name].steps[0].files
         assert not any("plant" in override for override in jobs[name].steps[0].overrides)
 
@@ -101,7 +101,7 @@ def test_the_bench_is_between_plant_and_controller_but_no_model_knows_of_it():
         assert {"plant=diamond", "plant.mesh='a b\\'s.vtu'", "rig=emulated_bench", "plant.stiffness_scale=0.9"} <= set(
             job.steps[0].overrides)
     train, export = model.steps
-    assert {"plant=diamond", "plant.mesh='a b\\'s.vtu'", "experiment=hardware", "model=ssmr", "fit=guarded",
+    assert {"plant=diamond", "plant.mesh='a b\\'s.vtu'", "robot=emulated_bench", "model=ssmr", "fit=stability_guard",
             "logger=csv", "name='SSMR'"} == set(train.overrides)
     assert export.files == {"checkpoint": "./model.ckpt", "artifact": "./artifact"}
     assert "noise_std=0.0" in run.steps[0].overrides and "controller.period=0.02" in run.steps[0].overrides

@@ -53,7 +53,8 @@ def whole(tmp_path_factory):
 def test_one_command_leaves_data_models_scores_closed_loops_tables_and_the_report(whole):
     assert (whole / "report.html").is_file() and (whole / "delays" / "trunk" / "delays.json").is_file()
     assert {(row["robot"], row["method"]) for row in rows(whole / "models.csv")} == {
-        ("trunk", "SSMR"), ("trunk", "SSSR"), ("trunk", "DMD"), ("hardware", "SSSR"), ("hardware", "static pregain")}
+        ("trunk", "SSMR"), ("trunk", "SSSR"), ("trunk", "DMD"), ("emulated_bench", "SSSR"),
+        ("emulated_bench", "static pregain")}
     runs = rows(whole / "runs.csv")
     assert {figure: sum(row["figure"] == figure for row in runs) for figure in ("fig7", "fig9", "fig11")} == {
         "fig7": 3, "fig9": 6, "fig11": 2}
@@ -177,7 +178,7 @@ def test_a_failing_job_is_reported_and_missing_and_stops_no_other(whole, tmp_pat
     (["executor=submitit", "executor.cluster=moon"], "executor.cluster is 'moon'; expected slurm or local"),
     (["preset.needs={nowhere: pip install nowhere}"], "nowhere is not installed: pip install nowhere"),
     (["recordings=nowhere"], "recordings=nowhere is no folder; expected the one with decays.mat"),
-    (["preset.figures.fig7.robot=snake"], "no robot 'snake'; the settings have trunk, hardware"),
+    (["preset.figures.fig7.robot=snake"], "no robot 'snake'; the settings have trunk, emulated_bench"),
 ])
 def test_bad_input_ends_in_one_clear_message_before_any_work(tmp_path, arguments, message):
     done = start(*arguments, f"hydra.run.dir={tmp_path}")
