@@ -82,7 +82,7 @@ def test_a_controller_that_was_changed_or_is_missing_is_refused(saved, tmp_path)
     ssmr.load(saved).save(tmp_path / "one")
     path, text = tmp_path / "one" / "controller.json", (saved / "controller.json").read_text()
     path.write_text(text.replace('"huber": 0.0001', '"huber": 0.0002'))
-    with pytest.raises(ValueError, match="controller.json is missing or differs from what the card records"):
+    with pytest.raises(ValueError, match="controller.json is missing or differs from the hash in the card"):
         ssmr.load(tmp_path / "one")
     path.unlink()
     with pytest.raises(ValueError, match="controller.json is missing or differs"):
@@ -96,7 +96,7 @@ def test_a_controller_that_was_changed_or_is_missing_is_refused(saved, tmp_path)
 
 
 @pytest.mark.parametrize(("text", "message"), [
-    ("{", "is not valid JSON"), ("[]", "is no designed controller, it has no controller, tracked"),
+    ("{", "is not valid JSON"), ("[]", "is not a designed controller: it has no controller, tracked"),
     ("{}", "design it again")])
 def test_a_controller_that_is_none_is_refused(saved, tmp_path, text, message):
     ssmr.load(saved).save(tmp_path / "one")
