@@ -10,7 +10,7 @@ from ssmr_torch.plants.slow_manifold import SlowManifold
 @pytest.mark.parametrize(("settings", "message"), [
     ({"noise_std": -1e-3}, r"noise_std is -0.001 m; expected a finite number"),
     ({"noise_std": np.nan}, r"noise_std is nan m; expected"),
-    ({"sensor_delay": 0.015}, r"sensor_delay is 0.015 s and the plant's timestep 0.01 s, 1.5 times; expected a whole"),
+    ({"sensor_delay": 0.015}, r"sensor_delay is 0.015 s, which is 1.5 times the plant's timestep, 0.01 s; expected"),
     ({"sensor_delay": -0.01}, r"sensor_delay is -0.01 s; expected"),
     ({"drop_probability": 1.0}, r"drop_probability is 1.0; expected 0 or more and less than 1"),
     ({"dropped": "late"}, r"dropped is 'late'; expected one of"),
@@ -29,7 +29,7 @@ def test_impossible_settings_are_refused_with_what_was_given_and_expected(settin
 def test_friction_of_inputs_that_push_and_a_rig_on_a_rig_are_refused():
     with pytest.raises(ValueError, match="cables only pull"):
         Rig(SlowManifold(input_bounds=(-1.0, 1.0)), cable_friction=0.1)
-    with pytest.raises(ValueError, match="'slow manifold on a rig' already"):
+    with pytest.raises(ValueError, match="already 'slow manifold on a rig'"):
         Rig(Rig(SlowManifold(), noise_std=1e-4), noise_std=1e-4)
     with pytest.raises(ValueError, match="within the input bounds"):
         Rig(SlowManifold(input_bounds=(0.5, 1.0)), saturation=0.4)
@@ -39,5 +39,5 @@ def test_friction_of_inputs_that_push_and_a_rig_on_a_rig_are_refused():
 def test_outputs_that_the_plant_does_not_have_are_refused_with_those_that_it_has(outputs):
     plant = SlowManifold()
     outputs = [plant.output_names[0]] * 2 if outputs == "repeated" else outputs
-    with pytest.raises(ValueError, match=f"expected some of .*{plant.output_names[0]}.*each once"):
+    with pytest.raises(ValueError, match=f"expected some of .*{plant.output_names[0]}.*each only once"):
         Rig(plant, outputs=outputs)
