@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -71,8 +72,9 @@ class TrajectoryDataset(DataSheet, Sequence):
 
     rest: (p,) absolute position of the origin of `observation`, m.
     output_names, input_names: one label per column. input_unit: "N", or "1" for normalized commands.
-    provenance: plain JSON values (where the data came from, what the reader assumed).
-    Raises ValueError when two trajectories differ in their numbers of columns, or in sampling time by more than
+    provenance: plain JSON values (source of the data, assumptions of the reader).
+
+    Raises ValueError if two trajectories differ in their numbers of columns, or in sampling time by more than
     `JITTER_TOLERANCE`.
 
     >>> decay = Trajectory([0.0, 0.1, 0.2], [[0.003], [0.001], [0.0]], np.zeros((3, 1)), "decay", name="decay 1")
@@ -113,13 +115,14 @@ class TrajectoryDataset(DataSheet, Sequence):
                 raise ValueError(f"trajectory {trajectory.name!r} has {columns[0]} outputs and {columns[1]} inputs; "
                                  f"the dataset declares {self.output_dim} and {self.input_dim}")
             if abs(trajectory.timestep / self.trajectories[0].timestep - 1) > JITTER_TOLERANCE:
-                raise ValueError(f"trajectory {trajectory.name!r} is sampled every {trajectory.timestep:.6g} s, but the "
-                                 f"first one every {self.trajectories[0].timestep:.6g} s; resample them to one time")
+                raise ValueError(f"trajectory {trajectory.name!r} is sampled every {trajectory.timestep:.6g} s, but "
+                                 f"the first one every {self.trajectories[0].timestep:.6g} s; resample all to one "
+                                 "sampling time")
 
     def __len__(self) -> int:
         return len(self.trajectories)
 
-    def __getitem__(self, index):
+    def __getitem__(self, index: Any) -> Any:
         return self.trajectories[index]
 
     @property
@@ -166,8 +169,9 @@ class TrajectoryDataset(DataSheet, Sequence):
     def extremes(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest values over all runs: outputs (2, p), m, and inputs (2, m)."""
         found = zip(*(run.extremes() for run in self.trajectories))
-        return tuple(np.stack([np.min([each[0] for each in of_runs], axis=0),
-                               np.max([each[1] for each in of_runs], axis=0)]) for of_runs in map(list, found))
+        outputs, inputs = (np.stack([np.min([each[0] for each in of_runs], axis=0),
+                                     np.max([each[1] for each in of_runs], axis=0)]) for of_runs in map(list, found))
+        return outputs, inputs
 
     def data_sheet(self) -> tuple[str, dict]:
         uses: dict[str, list] = {}
@@ -176,8 +180,9 @@ class TrajectoryDataset(DataSheet, Sequence):
         observation, inputs = self.extremes()
         return f"TrajectoryDataset: {_counted([run.length for run in self])}, {sheet.period(self.timestep)}", {
             "runs": {use: _counted(lengths) for use, lengths in uses.items()},
-            "outputs: displacement from rest": sheet.spans(self.output_names, *observation, "mm", 1e3),
-            "inputs: held from sample to sample": sheet.spans(self.input_names, *inputs,
+            "outputs: displacement from rest": sheet.spans(self.output_names, observation[0], observation[1], "mm",
+                                                           1e3),
+            "inputs: held from sample to sample": sheet.spans(self.input_names, inputs[0], inputs[1],
                                                               sheet.unit_of(self.input_unit)),
             "rest": f"{sheet.listed(sheet.number(1e3 * x) for x in self.rest)} mm",
         } | sheet.origin(self.provenance)

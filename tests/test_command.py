@@ -15,6 +15,8 @@ from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from ssmr_torch import __version__, command, extras
+from ssmr_torch.benchmarks.catalogue import NAMES, as_overrides, settings_of
+from ssmr_torch.entry_point import offer
 
 ROOT = Path(__file__).resolve().parents[1]
 CONF, EXPERIMENTS = ROOT / "conf", ROOT / "experiments"
@@ -108,7 +110,7 @@ def test_groups_of_ones_own_count_in_the_jobs_that_a_command_composes(tmp_path):
     (tmp_path / "conf" / "task" / "mine.yaml").write_text("defaults: [circle]\nradius: 0.0123\n")
     (tmp_path / "program.py").write_text(
         "from ssmr_torch.configuration import composed, own_folders\n"
-        "from ssmr_torch.experiments.entry import entry_point\n\n"
+        "from ssmr_torch.entry_point import entry_point\n\n"
         "@entry_point('report')\ndef main(config, directory):\n"
         "    print(composed('control', ['task=mine']).task.radius, *own_folders())\n\nmain()\n")
     done = subprocess.run([sys.executable, "program.py", "--config-dir", "conf", "directory=."], cwd=tmp_path,
@@ -190,7 +192,9 @@ def documented():
     for path in DOCUMENTS:
         text = path.read_text(encoding="utf-8").replace("\\\n", " ")
         for name, rest in NAMED.findall(text):
-            words = [word for word in shlex.split(rest, posix=True) if "=" in word or word == "~tuned"]
+            given = shlex.split(rest, posix=True)
+            given = as_overrides(given) if name == "benchmark" and given else given
+            words = [word for word in given if "=" in word or word == "~tuned"]
             kept = tuple(word for word in words if not OF_THE_READER.search(word.partition("=")[2])
                          and not word.endswith("…"))
             own = re.search(r"--config-dir (\S+)", rest)
@@ -202,6 +206,7 @@ def documented():
 
 @pytest.fixture(scope="module")
 def configurations():
+    offer("benchmark", {name: settings_of(name) for name in NAMES})
     with initialize_config_dir(str(CONF), version_base="1.3"):
         yield
 

@@ -8,8 +8,10 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.designed import DesignedController
@@ -35,6 +37,9 @@ from ssmr_torch.provenance import provenance
 from ssmr_torch.trained_model import TrainedModel
 from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 
+if TYPE_CHECKING:
+    from ssmr_torch.tasks.references import Task
+
 MARGIN_QUANTILE = 0.95   # quantile of the held-out errors by which constraints are tightened
 DISBELIEF = 1.2      # an actuator is rejected if the best model's error with it is more than this times that without it
 LOOPS = 300          # length of the progress bar: designs with computed margins, and loops against the twin
@@ -55,8 +60,8 @@ class Designed:
         return self.controller.save(folder)
 
 
-def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator | None = None,
-           progress: bool | None = None) -> Designed:
+def design(model: str | TrainedModel | None, data: TrajectoryDataset, task: Task, bounds: npt.ArrayLike, *,
+           identified: Actuator | None = None, progress: bool | None = None) -> Designed:
     """Design a controller for a task from recordings alone, without closed loops of the robot.
 
     1. Find delay, lag, friction and rate limit of the actuators, by the errors of a cheap model on held-out runs.

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
@@ -96,7 +97,7 @@ class Recordings:
         return replace(self, train=acted(self.train), held=acted(self.held))
 
 
-def recordings_of(data: TrajectoryDataset, tracked: Sequence[int], bounds: np.ndarray) -> Recordings:
+def recordings_of(data: TrajectoryDataset, tracked: Sequence[int], bounds: npt.ArrayLike) -> Recordings:
     """The training and validation runs of a dataset; test runs are never used.
 
     Raises ValueError where they are not sufficient: no controlled run, none that can be held out, or an input that is

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ssmr_torch.data.csv_and_hdf5 import pick, read_columns
+from ssmr_torch.data.column_files import pick, read_columns
 from ssmr_torch.data.matlab import read_koopman_struct
 from ssmr_torch.data.run_boundaries import check_seams, count_blips, count_frozen, find_seams, find_time_gaps
 
@@ -81,9 +81,9 @@ def test_a_lost_marker_is_counted_in_rounded_samples_that_move_on():
     assert count_frozen(y) == before + 5
 
 
-def test_a_file_with_other_seams_than_the_known_is_refused():
+def test_a_file_whose_seams_differ_from_the_known_ones_is_refused():
     check_seams(np.array([5]), [5], "file")
-    with pytest.raises(ValueError, match=r"seams found before rows \[4\], expected before rows \[5\]"):
+    with pytest.raises(ValueError, match=r"seams were found before rows \[4\], but expected before rows \[5\]"):
         check_seams(np.array([4]), [5], "file")
 
 
