@@ -250,7 +250,7 @@ def test_every_controller_takes_every_task(controller, task):
     build = instantiate(config.controller)
     assert isinstance(build, partial)
     if controller == "designed":
-        with pytest.raises(ValueError, match="carries no designed controller"):
+        with pytest.raises(ValueError, match="has no designed controller"):
             build(_tables(len(plant.output_names)), chosen, plant.input_bounds)
         return
     tables = _pregain(len(plant.output_names)) if "static_pregain" in controller else _tables(len(plant.output_names))

@@ -330,7 +330,7 @@ def test_two_processes_started_by_the_entry_point_give_the_scores_of_one(line):
     ("control", ["artifact=export/0/artifact", "residuals=collect/trajectories.h5",
                  "controller.margins=[0.0,0.0,0.0,0.0,0.0]"], "leave controller.margins null"),
     ("report", ["directory=collect"], "nothing to report below"),
-    ("collect", ["plant=trunk", "plant.mesh=elephant"], "no mesh file at elephant; the package's own are"),
+    ("collect", ["plant=trunk", "plant.mesh=elephant"], "no mesh file at elephant; give a file, or one of"),
     ("collect", ["plant=trunk", "plant.length_unit=m"], "check the unit of the mesh"),
     ("collect", ["plant=trunk_coarse", "plant.scheme=bdf2"], "use backward_euler with corotational"),
     ("collect", ["plant=trunk_coarse", "rig.sensor_delay=0.015"], "expected a whole multiple"),

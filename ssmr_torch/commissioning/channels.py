@@ -1,4 +1,4 @@
-"""Whether each input moves what it should: polarity and order of the channels, dead inputs and swapped pairs."""
+"""Checks whether each input moves the right output: sign and order of the channels, dead inputs, swapped pairs."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ import numpy as np
 from ssmr_torch.commissioning.steps import StepAnswer
 
 SIGNED = re.compile(r"(?:.*[_ ])?([+-])([xyz])$")  # cable_+x moves tip_x up
-LIKE = 0.5  # of the largest gain, from which on an output counts as moved by an input
+LIKE = 0.5  # of the largest gain: an output with at least this gain counts as moved by the input
 
 
 def expectations(expected: Mapping[str, str], inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, str]:
-    """Input → output with the sign in which it moves: as the card says, else as all names say; else nothing."""
+    """Input → output, with the sign of the motion: from the card, else from the names where all follow the pattern;
+    else empty.
+    """
     if expected:
         return dict(expected)
     found = {}
@@ -28,11 +30,11 @@ def expectations(expected: Mapping[str, str], inputs: Sequence[str], outputs: Se
 
 
 def channel_faults(answers: Sequence[StepAnswer], expected: Mapping[str, str], outputs: Sequence[str]) -> list[str]:
-    """Dead inputs, reversed ones, swapped pairs, and inputs that move something else; what is expected of none is not
-    judged.
+    """Dead inputs, inputs with the wrong sign, swapped pairs, and inputs that move another output. An input without an
+    expectation is judged only for being dead.
     """
-    faults = [f"{answer.input} is dead: a step of {answer.size:.3g} moved nothing beyond the noise; see cable, valve "
-              "or amplifier" for answer in answers if answer.output is None]
+    faults = [f"{answer.input} is dead: a step of {answer.size:.3g} moved no output beyond the noise; check its cable, "
+              "valve or amplifier" for answer in answers if answer.output is None]
     moved = {answer.input: _moved(answer, expected, outputs) for answer in answers
              if answer.output is not None and answer.input in expected}
     wrong = [name for name in moved if moved[name] != expected[name]]
@@ -44,14 +46,14 @@ def channel_faults(answers: Sequence[StepAnswer], expected: Mapping[str, str], o
             faults.append(f"{name} and {other} are swapped: {name} moves {moved[name]}, {other} moves {moved[other]}; "
                           "exchange the two channels")
         elif moved[name][1:] == expected[name][1:]:
-            faults.append(f"{name} is reversed: it moves {moved[name]}, expected {expected[name]}; turn its sign")
+            faults.append(f"{name} is reversed: it moves {moved[name]}, expected {expected[name]}; change its sign")
         else:
-            faults.append(f"{name} moves {moved[name]}, expected {expected[name]}; see the order of the channels")
+            faults.append(f"{name} moves {moved[name]}, expected {expected[name]}; check the order of the channels")
     return faults
 
 
 def _moved(answer: StepAnswer, expected: Mapping[str, str], outputs: Sequence[str]) -> str:
-    """Of the outputs that any input is expected to move, the one that this input moves most, per unit upwards."""
+    """The output that this input moves most, with its sign; only outputs that some input is expected to move count."""
     columns = sorted({list(outputs).index(each[1:]) for each in expected.values()})
     gain = answer.gain[columns]
     most = int(np.argmax(np.abs(gain)))
@@ -59,7 +61,7 @@ def _moved(answer: StepAnswer, expected: Mapping[str, str], outputs: Sequence[st
 
 
 def channels_said(answers: Sequence[StepAnswer], expected: Mapping[str, str], outputs: Sequence[str], unit: str) -> str:
-    """A table: which input moved which outputs, by how much per unit, how late, and how long it took."""
+    """A table: the outputs that each input moves, the gain, the delay and the settling time."""
     per = f"mm/{unit}" if unit != "1" else "mm"
     rows = [f"| input | step | moves ({per}) | {'expected | ' if expected else ''}delay (ms) | settles (s) | × noise |",
             f"| --- | ---: | --- | {'--- | ' if expected else ''}---: | ---: | ---: |"]
@@ -78,9 +80,9 @@ def channels_said(answers: Sequence[StepAnswer], expected: Mapping[str, str], ou
 
 
 def admissible_share(answers: Sequence[StepAnswer], room: np.ndarray, limit: float) -> float:
-    """Share of the inputs' range with which no single input, held, comes further than 90 % of the displacement limit.
+    """The share of the input range in which no single input, held, moves an output beyond 90 % of the limit.
 
-    room: (m,) from the neutral input to the farther bound, input unit.   limit: m. At least a tenth.
+    room: (m,), from the neutral input to the farther bound, input unit.   limit: m, displacement limit. At least 0.1.
     """
     reach = max(float(np.abs(answer.gain).max()) * span for answer, span in zip(answers, room))
     return float(np.clip(0.9 * limit / reach, 0.1, 1.0)) if reach > 0 else 1.0

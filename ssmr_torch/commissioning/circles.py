@@ -1,4 +1,4 @@
-"""Circles about the place where a robot rests, as large as its recordings show that it can reach."""
+"""Test circles around the rest position, with a radius that the recordings show to be within reach."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ssmr_torch.tasks.references import Task, ramped_phase
 from ssmr_torch.trajectory import TrajectoryDataset
 
 DIRECTIONS = 24
-USUAL = 99.0  # percentile of the distance in a direction: overshoot is no reach
+USUAL = 99.0  # percentile of the distance in a direction; it leaves overshoot out
 
 
 def reach(data: TrajectoryDataset, outputs: Sequence[str], centre: np.ndarray) -> float:
-    """m, that the controlled runs come from `centre` (2,) to every side in two outputs: the least over 24 directions of
-    the 99th percentile of the distance in that direction.
+    """How far, in m, the controlled runs get from `centre` (2,) to every side in two outputs: the smallest over 24
+    directions of the 99th percentile of the distance in that direction.
     """
     columns = data.columns(outputs)
     runs = data.select(kind="controlled") or tuple(data)
@@ -28,12 +28,12 @@ def reach(data: TrajectoryDataset, outputs: Sequence[str], centre: np.ndarray) -
 
 
 def tracked_outputs(data: TrajectoryDataset, rest: np.ndarray) -> tuple[str, str]:
-    """The two outputs in which the robot reaches furthest to all sides of `rest` (p,), m. Raises ValueError for one
-    alone.
+    """The two outputs in which the robot reaches furthest to all sides of `rest` (p,), m. Raises ValueError where there
+    is only one output.
     """
     names = data.output_names
     if len(names) < 2:
-        raise ValueError(f"the robot has the outputs {list(names)}; a circle needs two")
+        raise ValueError(f"the robot has the outputs {list(names)}; a circle needs two or more")
     pairs = list(combinations(range(len(names)), 2))
     found = [reach(data, [names[column] for column in pair], rest[list(pair)]) for pair in pairs]
     return tuple(names[column] for column in pairs[int(np.argmax(found))])
@@ -41,13 +41,13 @@ def tracked_outputs(data: TrajectoryDataset, rest: np.ndarray) -> tuple[str, str
 
 def circle_about(centre: np.ndarray, radius: float, lap: float, laps: int, outputs: Sequence[str], name: str,
                  approach: float = 2.0) -> Task:
-    """centre + r(t) (cos θ, sin θ): out to the radius (m) in `approach` s, `laps` laps of `lap` s each, and back in.
+    """centre + r(t) (cos θ, sin θ): out to the radius (m) in `approach` s, `laps` laps of `lap` s each, and back.
 
-    θ is that of `ramped_phase`, with ramps of a quarter of a lap. Raises ValueError for a radius that is not positive.
+    θ is the phase of `ramped_phase`, with ramps of a quarter of a lap. Raises ValueError unless the radius is positive.
     """
     if not radius > 0:
-        raise ValueError(f"the radius of {name!r} is {radius} m; expected a positive length: the recordings reach to "
-                         "one side only, so name two other outputs as tracked in the card")
+        raise ValueError(f"the radius of {name!r} is {radius} m; expected a positive length. The recordings reach only "
+                         "to one side of rest: name two other outputs as tracked in the card")
     phase, turning = ramped_phase(2 * np.pi * laps, 2 * np.pi / lap, 0.25 * lap)
 
     return Task(name, turning + 2 * approach, tuple(outputs),

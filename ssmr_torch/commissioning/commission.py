@@ -1,4 +1,4 @@
-"""Commissioning, step by step, from the robot card to fast circles; each step is shown, confirmed and recorded."""
+"""Commissioning: from a robot card to fast circles, step by step. Each step is shown, confirmed and recorded."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from ssmr_torch.tasks.references import Task
 
 STEPS = tuple(TITLES)
 ARTIFACT = "artifact"
-FEWEST = 20  # standard deviations of noise, that a circle's radius must have
+FEWEST = 20  # times the noise: the smallest radius of a circle
 
 
 @dataclass(frozen=True)
 class CommissioningSettings(Settings):
     """Settings of `commission`.
 
-    model: what the controller is designed on, see `ssmr_torch.design`, such as auto or ssmr.
-    rest_duration: s of noise at rest.   slow_lap, fast_lap: s of a lap of the two circles.   laps: of each.
-    share_of_reach: radius of the circles.   seed: of the excitation, and of whatever the robot draws.
-    figures: whether to draw; needs the extra plots.
+    model: kind of model for the controller, such as auto or ssmr; see `ssmr_torch.design`.
+    rest_duration: s of noise at rest.   slow_lap, fast_lap: s per lap of the two circles.   laps: of each circle.
+    share_of_reach: radius of the circles, as a share of the reach.   seed: of the excitation and of the robot.
+    figures: whether to draw; needs the extra `plots`.
     """
 
     model: str = "auto"
@@ -62,18 +62,18 @@ SETTINGS = CommissioningSettings()
 def commission(plant: Plant, card: RobotCard | str | Path, directory: str | Path, *, excitation: Callable | None = None,
                confirm: str | Confirm = "ask", design: Callable | None = None, load: Callable | None = None,
                settings: CommissioningSettings = SETTINGS, **changes) -> list[str]:
-    """Commission a robot; the same call in the same directory goes on after the last confirmed step.
+    """Commission a robot. Calling it again with the same directory continues after the last confirmed step.
 
-    plant: any `Plant`, such as `plants.RemotePlant`.   card: a `RobotCard`, or the file of one.
+    plant: any `Plant`, such as `plants.RemotePlant`.   card: a `RobotCard`, or its file.
     excitation: (plant, directory=, workers=) → dataset; None: excitation=five_minutes of the configuration.
-    confirm: "ask", "yes", or (step, text, faults) → bool; False ends the call, and the step is not recorded as done.
-    design: (kind, data, task, bounds) → what has a `report` and `save(folder)`; None: `ssmr_torch.design`.
-    load: folder → what has `controller(task)`; None: `ssmr_torch.load`. Both circles are drawn by what it gives, which
-    is what the artifact carries.   changes: of the settings, by name.
+    confirm: "ask", "yes", or (step, text, faults) → bool; False ends the call, and the step is not confirmed.
+    design: (kind, data, task, bounds) → an object with `report` and `save(folder)`; None: `ssmr_torch.design`.
+    load: folder → an object with `controller(task)`; None: `ssmr_torch.load`. This controller, from the artifact on
+    disk, draws both circles.   changes: of the settings, by name.
 
-    Returns the names of the confirmed steps; all is done when these are STEPS. Raises ValueError for a card that does
-    not fit the robot or the directory, SafetyStop when a limit is exceeded in any step but the collection, which
-    offers smaller inputs. However it ends, the input goes back to neutral.
+    Returns the names of the confirmed steps; the robot is commissioned when these are STEPS. Raises ValueError for a
+    card that does not fit the robot or the directory, and SafetyStop when a limit is exceeded. Only in the collection
+    no SafetyStop is raised at once: there smaller inputs are offered. The input always goes back to neutral at the end.
     """
     card = fitted(card if isinstance(card, RobotCard) else read_robot_card(card), plant)
     work = Commissioning(plant, card, CommissioningDirectory(directory), confirmation(confirm),
@@ -83,7 +83,7 @@ def commission(plant: Plant, card: RobotCard | str | Path, directory: str | Path
 
 
 class Commissioning:
-    """One call of `commission`; every method named after a step returns what is to be shown and its faults."""
+    """One call of `commission`. Every method named after a step returns the text to be shown and the faults."""
 
     def __init__(self, plant: Plant, card: RobotCard, directory: CommissioningDirectory, confirm: Confirm,
                  excitation: Callable, design: Callable, load: Callable, settings: CommissioningSettings):
@@ -91,7 +91,8 @@ class Commissioning:
         self.excitation, self.design, self.load, self.settings = excitation, design, load, settings
 
     def go_on(self) -> list[str]:
-        """Take the steps that are not confirmed yet, until one is declined; the names of those that are."""
+        """Take the steps that are not confirmed yet, until one is declined. Returns the names of the confirmed steps.
+        """
         self.directory.keep_card(self.card)
         done = [entry["step"] for entry in self.directory.confirmed()]
         rest = [step for step in STEPS if step not in done]
@@ -103,7 +104,7 @@ class Commissioning:
             if found is None:
                 break
             said, faults = found
-            marks = "".join(f"\n\nLook here: {fault}." for fault in faults)
+            marks = "".join(f"\n\nPlease check: {fault}." for fault in faults)
             following = STEPS[len(done) + 1:]
             after = f"\n\n{self._next(following[0])}" if following else ""
             if not self.confirm(step, f"{len(done) + 1}. {TITLES[step]}\n\n{said}{marks}{after}", tuple(faults)):
@@ -126,11 +127,11 @@ class Commissioning:
         limits = f"It stops beyond {1e3 * self.card.displacement_limit:.3g} mm or {self.card.rate_limit:.3g} m/s."
         moves = {"noise": f"the neutral input {self.card.neutral} is held for {self.settings.rest_duration:g} s.",
                  "steps": "each input makes small steps, one after the other.",
-                 "collection": "the robot moves widely for some minutes.",
-                 "slow circle": "the controller draws a circle, slowly.",
+                 "collection": "the robot makes large motions for some minutes.",
+                 "slow circle": "the controller draws a circle slowly.",
                  "fast circle": "the controller draws the circle fast."}
         what = f"{moves[step]} {limits}" if step in moves else "the robot does not move."
-        return f"Next, {TITLES[step].lower()}: {what}"
+        return f"Next step, {TITLES[step].lower()}: {what}"
 
     def _card(self) -> tuple[str, list]:
         return f"```yaml\n{self.card.text()}```", []
@@ -219,16 +220,16 @@ class Commissioning:
         return f"{about}\n\n{said}", faults
 
     def _circle(self, name: str, lap: float) -> tuple[Task, str, float]:
-        """The task, what is to be said of it, and the radius, m."""
+        """The task, a sentence about it, and the radius in m."""
         data, rest = self.directory.trajectories(), np.array(self.directory.read_json("noise.json")["rest_m"])
         outputs = tuple(self.card.tracked) or tracked_outputs(data, rest)
         columns = data.columns(outputs)
         most = reach(data, outputs, rest[columns])
         radius, noise = self.settings.share_of_reach * most, self._std()[columns].max()
         if radius < FEWEST * noise:
-            raise ValueError(f"the circle in {list(outputs)} would have a radius of {1e3 * radius:.3g} mm with "
-                             f"{1e3 * noise:.2g} mm of noise; expected {FEWEST} times the noise or more: name two "
-                             "outputs that move to all sides as tracked in the card")
+            raise ValueError(f"the circle in {list(outputs)} would have a radius of {1e3 * radius:.3g} mm; expected "
+                             f"{FEWEST} times the noise of {1e3 * noise:.2g} mm or more. Name two outputs that move to "
+                             "all sides as tracked in the card")
         about = (f"Radius {1e3 * radius:.3g} mm in {outputs[0]} and {outputs[1]}, "
                  f"{100 * self.settings.share_of_reach:.3g} % of the reach of {1e3 * most:.3g} mm; {lap:g} s a lap.")
         return circle_about(rest[columns], radius, lap, self.settings.laps, outputs, name), about, radius
@@ -242,7 +243,7 @@ class Commissioning:
 
     @contextmanager
     def _moving(self, step: str) -> Iterator[GuardedPlant]:
-        """A guarded robot that is led back to neutral however the step ends; a stopped run is kept, marked."""
+        """A guarded robot that always goes back to the neutral input at the end. A stopped run is kept and marked."""
         guard = self._guard()
         try:
             yield guard
@@ -254,7 +255,7 @@ class Commissioning:
 
 
 def _five_minutes() -> Callable:
-    """excitation=five_minutes of the configuration."""
+    """The setting excitation=five_minutes of the configuration."""
     from ssmr_torch import configuration
 
     return configuration.built(configuration.composed("collect", ["excitation=five_minutes"]).excitation)

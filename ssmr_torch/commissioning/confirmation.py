@@ -1,4 +1,4 @@
-"""How a person, or a program in their place, agrees to what was found and to what moves next."""
+"""How a person or a program confirms a step: its result, and the motion that comes next."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
-Confirm = Callable[[str, str, Sequence[str]], bool]  # step, what it found and what comes next, faults → go on
+Confirm = Callable[[str, str, Sequence[str]], bool]  # step, its result and what comes next, faults → continue or not
 
 
 def ask(step: str, text: str, faults: Sequence[str]) -> bool:
-    """Show the step and wait for y or n at the terminal. Raises ValueError where there is none."""
+    """Show the step and wait for y or n at the terminal. Raises ValueError where there is no terminal."""
     print(f"\n{text}")
     while True:
         try:
             answer = input(f"{step}: confirm? [y/n] ").strip().lower()
         except EOFError as error:
-            raise ValueError("confirm is ask, but nobody answers at the terminal; start it there, or take "
+            raise ValueError("confirm is ask, but there is no terminal for the answer; start it in a terminal, or use "
                              "confirm=yes") from error
         if answer in ("y", "yes", "n", "no"):
             return answer[0] == "y"
 
 
 def yes(step: str, text: str, faults: Sequence[str]) -> bool:
-    """Show the step and agree, unless it has faults: a person must look at those."""
+    """Show the step and agree, unless it has faults: a person must check those."""
     print(f"\n{text}")
     if faults:
-        print(f"{step}: not confirmed, as there is something to look at; mend it, or look and take confirm=ask")
+        print(f"{step}: not confirmed, because of the faults above; repair them, or check them and use confirm=ask")
     return not faults
 
 
@@ -35,7 +35,7 @@ CONFIRMATIONS: dict[str, Confirm] = {"ask": ask, "yes": yes}
 
 
 def confirmation(confirm: str | Confirm) -> Confirm:
-    """The function by its name, "ask" or "yes", or one of one's own. Raises ValueError for anything else."""
+    """The function "ask" or "yes" by name, or your own function. Raises ValueError for anything else."""
     if callable(confirm):
         return confirm
     if confirm in CONFIRMATIONS:
@@ -46,7 +46,7 @@ def confirmation(confirm: str | Confirm) -> Confirm:
 
 @contextmanager
 def ended_in_order() -> Iterator[None]:
-    """A SIGTERM raises SystemExit inside, so that the robot is led back to its neutral input; only of a main thread."""
+    """Inside, SIGTERM raises SystemExit, so that the robot goes back to its neutral input; only in the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,4 @@
-"""The directory of one robot's commissioning: what was confirmed, measured and recorded; files appear only complete."""
+"""The directory of one robot's commissioning: confirmed steps, measurements, recordings. Files appear only complete."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ RUNS = "collected"  # one folder for each share of the input range
 
 
 class CommissioningDirectory:
-    """Files under one path, each written aside and renamed."""
+    """The files of one commissioning under one path. Each is written aside and then renamed."""
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
         self.path.mkdir(parents=True, exist_ok=True)
 
     def confirmed(self) -> list[dict]:
-        """The confirmed steps in their order, each with `step`, `time`, `said` and `faults`."""
+        """The confirmed steps in order, each with `step`, `time`, `said` and `faults`."""
         path = self.path / PROGRESS
         return json.loads(path.read_text())["confirmed"] if path.is_file() else []
 
@@ -54,42 +54,42 @@ class CommissioningDirectory:
     def read_json(self, name: str) -> dict | list:
         path = self.path / name
         if not path.is_file():
-            raise FileNotFoundError(f"no {name} in {self.path}, though its step is confirmed; remove {PROGRESS} to "
-                                    "begin anew")
+            raise FileNotFoundError(f"there is no {name} in {self.path}, although its step is confirmed; remove "
+                                    f"{PROGRESS} to start again")
         return json.loads(path.read_text())
 
     def has(self, name: str) -> bool:
         return (self.path / name).exists()
 
     def keep_card(self, card: RobotCard) -> None:
-        """Write card.yaml. Raises ValueError where another card's measurements are here; limits may change."""
+        """Write card.yaml. Raises ValueError where the measurements here belong to another card; limits may change."""
         if self.confirmed() and self.has(CARD):
             differences = changed_keys(read_robot_card(self.path / CARD), card)
             if differences:
                 raise ValueError(f"{self.path} belongs to another card: {differences[0]}; choose another directory, or "
-                                 "remove it if it is no longer needed")
+                                 "remove this one if it is no longer needed")
         self.write(CARD, card.text())
 
     def keep_runs(self, name: str, runs: Sequence[Trajectory], plant: Plant) -> None:
-        """Runs of a step as NAME.h5."""
+        """Write the runs of a step as NAME.h5."""
         dataset_of(plant, runs, {}).save(self.path / f"{name}.h5")
 
     def keep_record(self, step: str, record: ClosedLoopRecord) -> None:
         record.save(self.path / f"{step.replace(' ', '_')}.h5")
 
     def records(self) -> list[ClosedLoopRecord]:
-        """Of the circles that were drawn, the slow one first."""
+        """The records of the circles drawn so far, the slow one first."""
         paths = [self.path / f"{speed}_circle.h5" for speed in ("slow", "fast")]
         return [ClosedLoopRecord.load(path) for path in paths if path.is_file()]
 
     def draw(self, name: str, *shown) -> None:
-        """NAME.svg by the function of `evaluation.commissioning_figures` of that name."""
+        """Write NAME.svg with the function of this name in `evaluation.commissioning_figures`."""
         from ssmr_torch.evaluation import commissioning_figures, figures
 
         figures.save(getattr(commissioning_figures, name)(*shown), self.path / f"{name}.svg")
 
     def stopped(self, step: str, run: Trajectory | None, plant: Plant, reason: str) -> Path | None:
-        """Keep a run that was stopped as stopped/STEP-N.h5, marked with the reason; None where there is none."""
+        """Keep a stopped run as stopped/STEP-N.h5, with the reason in it; None where there is no run."""
         if run is None:
             return None
         folder, name = self.path / "stopped", step.replace(" ", "_")
@@ -101,8 +101,8 @@ class CommissioningDirectory:
         return self.path / RUNS / f"{share:.4f}"
 
     def gathered(self, plant: Plant) -> list[Trajectory]:
-        """The finished runs of all shares, those of the largest first, their names after the share where it is not
-        1.
+        """The finished runs of all shares of the input range, those of the largest share first. Where the share is not
+        1, it is added to the run's name.
         """
         found = []
         for folder in sorted((self.path / RUNS).glob("*"), reverse=True):
@@ -114,18 +114,18 @@ class CommissioningDirectory:
         return found
 
     def keep_trajectories(self, data: TrajectoryDataset) -> None:
-        """All runs in trajectories.h5."""
+        """Write all runs to trajectories.h5."""
         data.save(self.path / COMPLETE)
 
     def trajectories(self) -> TrajectoryDataset:
-        """What trajectories.h5 holds; the files of single runs, which it makes needless, are removed.
+        """The runs in trajectories.h5. The files of the single runs are then no longer needed, and are removed.
 
-        Raises ValueError for recordings that no commissioning made.
+        Raises ValueError for recordings that do not come from a commissioning.
         """
         data = TrajectoryDataset.load(self.path / COMPLETE)
         if data.provenance.get("source") != SOURCE:
-            raise ValueError(f"{self.path / COMPLETE} comes from {data.provenance.get('source')!r}; expected those "
-                             "of this commissioning: choose another directory")
+            raise ValueError(f"{self.path / COMPLETE} comes from {data.provenance.get('source')!r}; expected the "
+                             "recordings of this commissioning: choose another directory")
         for folder in (self.path / RUNS).glob("*"):
             discard_recorded(folder)
             folder.rmdir()
@@ -134,7 +134,7 @@ class CommissioningDirectory:
         return data
 
     def set_aside(self, name: str) -> Path:
-        """Rename a file that was not confirmed, so that it is measured again; NAME becomes declined-N-NAME."""
+        """Rename a file of a declined step, so that it is measured again: NAME becomes declined-N-NAME."""
         number = 1 + len(list(self.path.glob(f"declined-*-{name}")))
         aside = self.path / f"declined-{number}-{name}"
         os.replace(self.path / name, aside)
@@ -142,7 +142,7 @@ class CommissioningDirectory:
 
 
 def dataset_of(plant: Plant, runs: Sequence[Trajectory], provenance: dict) -> TrajectoryDataset:
-    """Runs of this plant as a dataset; the plant's neutral input stands in the provenance."""
+    """Runs of this plant as a dataset. The provenance holds the plant's neutral input."""
     own = {"source": SOURCE, "package": f"ssmr_torch {__version__}", "robot": plant.name,
            "neutral_input": np.asarray(plant.neutral_input).tolist()}
     return TrajectoryDataset(runs, plant.rest, plant.output_names, plant.input_names, plant.input_unit,

@@ -1,4 +1,4 @@
-"""Recording what a model learns from, within the card's limits: where they are exceeded, the inputs become smaller."""
+"""Records the training data within the card's limits. When a limit is exceeded, it continues with smaller inputs."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from ssmr_torch.commissioning.directory import CommissioningDirectory, dataset_o
 from ssmr_torch.commissioning.safety_guard import GuardedPlant, SafetyStop
 from ssmr_torch.trajectory import TrajectoryDataset
 
-NARROWER = 0.75   # of the share of the input range, after each stop
-LEAST = 0.05      # of the range; below that something else is wrong
+NARROWER = 0.75   # after each stop the share of the input range is multiplied by this
+LEAST = 0.05      # of the range; below it something else must be wrong
 NOTE = "collection.json"
 
 
 def gather(plant: GuardedPlant, excitation: Callable, directory: CommissioningDirectory, share: float,
            go_on: Callable[[str], bool]) -> TrajectoryDataset | None:
-    """All runs of the excitation, in trajectories.h5; what a kill left is taken up, run by run.
+    """Record all runs of the excitation, in trajectories.h5. After a kill it continues with the next run.
 
-    excitation: (plant, directory, workers) → dataset, such as `data.collection.collect` with its settings.
-    share: of the way from the neutral input to the bounds, that the inputs use at first. A stop keeps the finished
-    runs, and the stopped one aside, marked; `go_on`, asked with what happened, lets the rest be recorded with 75 % of
-    the share.
-    Returns None where it does not. Raises SafetyStop when the share would fall below 5 %.
+    excitation: (plant, directory, workers) → dataset, such as `collection.collect` with its settings.
+    share: how much of the way from the neutral input to the bounds the inputs use at first. After a stop, the finished
+    runs are kept, and the stopped one is kept aside, marked. `go_on` is then asked with a text about the stop. If it
+    agrees, the remaining runs are recorded with 75 % of the share.
+    Returns None where `go_on` does not agree. Raises SafetyStop when the share would fall below 5 %.
     """
     if directory.has(COMPLETE):
         return directory.trajectories()
@@ -40,8 +40,8 @@ def gather(plant: GuardedPlant, excitation: Callable, directory: CommissioningDi
             narrower = NARROWER * note["share"]
             if narrower < LEAST:
                 raise
-            if not go_on(f"{stop} What was recorded is kept; the rest would follow with {100 * narrower:.3g} % of the "
-                         "input range."):
+            if not go_on(f"{stop} The finished runs are kept; the remaining ones would use {100 * narrower:.3g} % of "
+                         "the input range."):
                 directory.write_json(NOTE, note)
                 return None
             note["share"] = narrower
@@ -52,5 +52,5 @@ def gather(plant: GuardedPlant, excitation: Callable, directory: CommissioningDi
 
 
 def recorded_share(directory: CommissioningDirectory) -> float:
-    """The share of the input range that was recorded last."""
+    """The share of the input range in the last recording."""
     return float(directory.read_json(NOTE)["share"])

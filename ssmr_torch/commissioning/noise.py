@@ -1,4 +1,4 @@
-"""What a robot shows while nothing happens: noise, drift, missing samples, and how evenly it is sampled."""
+"""Measures a robot at rest: noise, drift, missing samples, and how regular the sampling is."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import numpy as np
 
 from ssmr_torch.commissioning.safety_guard import GuardedPlant
 
-SETTLING = 0.2   # of the run, left out
-APART = 0.01     # of the displacement limit, that the neutral position may lie beside the zero of the observation
-MISSING, JITTER, DRIFT = 0.05, 0.25, 0.01  # shares of samples, timestep and displacement limit that are too much
-LOUDEST = 6.0    # standard deviations, that medians of three samples may differ by
+SETTLING = 0.2   # of the run, which is left out at its start
+APART = 0.01     # of the displacement limit: allowed distance of the rest under neutral input from zero
+MISSING, JITTER, DRIFT = 0.05, 0.25, 0.01  # largest allowed shares of samples, timestep and displacement limit
+LOUDEST = 6.0    # standard deviations: the largest difference expected between medians of three samples
 
 
 def measure_noise(plant: GuardedPlant, duration: float, seed: int = 0) -> dict:
-    """Hold the neutral input for `duration` s.
+    """Hold the neutral input for `duration` s and describe the measurements.
 
-    Per output: std_m of the white noise about a straight line; drift_m_s, its slope, with drift_error_m_s; rest_m,
-    where it lies. missing, held: shares of samples that did not come, or repeat the last one to the last digit of a
-    sensor with noise. jitter, worst_jitter: by how much sampling intervals are off by the robot's own clock, in
-    timesteps, 99 % of them and the worst; None where it has none.
+    Per output: std_m, white noise about a straight line; drift_m_s, the slope of the line, with drift_error_m_s;
+    rest_m, the mean position. missing, held: shares of samples that did not come, and of samples that repeat the last
+    one exactly although the sensor has noise. jitter, worst_jitter: deviation of the sampling intervals by the robot's
+    own clock, in timesteps, for 99 % of them and for the worst; None where the robot has no clock.
     """
     samples = [plant.reset(seed)]
     stamps = [plant.stamp]
@@ -28,8 +28,8 @@ def measure_noise(plant: GuardedPlant, duration: float, seed: int = 0) -> dict:
     y = np.array(samples)[round(SETTLING * len(samples)):]
     time, good = plant.timestep * np.arange(len(y)), np.isfinite(y).all(axis=1)
     if good.sum() < 10:
-        raise ValueError(f"{good.sum()} of {len(y)} measurements at rest arrived; expected most of them: see why the "
-                         "sensors are silent")
+        raise ValueError(f"{good.sum()} of {len(y)} measurements at rest arrived; expected most of them: check the "
+                         "sensors and the connection")
     new = np.flatnonzero(good)
     repeats = (np.diff(y[new], axis=0) == 0).all(axis=1)
     new = new[np.concatenate([[True], ~repeats])] if not repeats.all() else new
@@ -51,13 +51,13 @@ def _jitter(stamps: np.ndarray, timestep: float) -> dict:
 
 
 def noise_faults(noise: dict, plant: GuardedPlant) -> list[str]:
-    """What of a robot at rest is not as it should be."""
+    """The faults of a robot at rest, as sentences."""
     names, limit, faults = plant.output_names, plant.card.displacement_limit, []
     rest, drift = np.array(noise["rest_m"]), np.array(noise["drift_m_s"])
     far = int(np.argmax(np.abs(rest)))
     if abs(rest[far]) > max(APART * limit, 5 * noise["std_m"][far]):
-        faults.append(f"{names[far]} is {1e3 * rest[far]:.3g} mm from its zero under the neutral input; the robot "
-                      "should measure its displacement from there")
+        faults.append(f"{names[far]} is {1e3 * rest[far]:.3g} mm from zero under the neutral input; the robot "
+                      "should measure its displacement from this rest position")
     certain = np.abs(drift) > 4 * np.array(noise["drift_error_m_s"])
     moved = np.where(certain, np.abs(drift) * noise["duration_s"], 0.0)
     if moved.max() > DRIFT * limit:
@@ -66,15 +66,15 @@ def noise_faults(noise: dict, plant: GuardedPlant) -> list[str]:
                       "card a longer settle")
     apparent = LOUDEST * max(noise["std_m"]) / plant.timestep
     if apparent > plant.card.rate_limit:
-        faults.append(f"noise alone looks like {apparent:.3g} m/s now and then; expected less than the rate_limit of "
-                      f"{plant.card.rate_limit:.3g} m/s: measure more quietly, or raise it")
+        faults.append(f"noise alone looks like a speed of {apparent:.3g} m/s; expected less than the rate_limit of "
+                      f"{plant.card.rate_limit:.3g} m/s: reduce the noise, or raise the limit")
     lost = noise["missing"] + noise["held"]
     if lost > MISSING:
-        faults.append(f"{100 * lost:.2g} % of the samples are missing or repeat the last; expected less than "
-                      f"{100 * MISSING:g} %: see what the sensors lack")
+        faults.append(f"{100 * lost:.2g} % of the samples are missing or repeat the last one; expected less than "
+                      f"{100 * MISSING:g} %: check the sensors and the connection")
     if (noise["jitter"] or 0.0) > JITTER:
-        faults.append(f"one sampling interval in a hundred is off by {100 * noise['jitter']:.2g} % of a timestep; "
-                      f"expected less than {100 * JITTER:g} %: see what keeps the robot's clock busy")
+        faults.append(f"one sampling interval in a hundred is wrong by {100 * noise['jitter']:.2g} % of a timestep; "
+                      f"expected less than {100 * JITTER:g} %: check what else the robot's computer does")
     return faults
 
 
@@ -84,7 +84,7 @@ def noise_said(noise: dict, plant: GuardedPlant) -> str:
     rows += [f"| {name} | {1e3 * std:.3g} | {1e3 * drift:.2g} ± {1e3 * error:.1g} | {1e3 * rest:.3g} |"
              for name, std, drift, error, rest in zip(plant.output_names, noise["std_m"], noise["drift_m_s"],
                                                       noise["drift_error_m_s"], noise["rest_m"])]
-    clock = "the robot tells no clock of its own" if noise["jitter"] is None else \
+    clock = "the robot sends no time of its own clock" if noise["jitter"] is None else \
         f"99 % of the intervals are within {100 * noise['jitter']:.2g} % of a timestep, all within " \
         f"{100 * noise['worst_jitter']:.2g} %"
     lost = f"{100 * noise['missing']:.2g} % of the samples missing, {100 * noise['held']:.2g} % repeated"

@@ -1,4 +1,4 @@
-"""commissioning.md: what each confirmed step found, with its figures."""
+"""Writes commissioning.md: the result of each confirmed step, with its figures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def written(robot: str, confirmed: Sequence[Mapping], present: Sequence[str]) ->
              f"ssmr_torch {__version__}; {len(confirmed)} of {len(TITLES)} steps are confirmed."]
     for number, entry in enumerate(confirmed, start=1):
         lines += ["", f"## {number}. {TITLES[entry['step']]}", "", entry["said"]]
-        lines += [f"\n**Look here**: {fault}." for fault in entry["faults"]]
+        lines += [f"\n**Please check**: {fault}." for fault in entry["faults"]]
         lines += [f"\n![{TITLES[entry['step']]}]({name})" for name in FIGURES.get(entry["step"], ()) if name in present]
         lines += ["", f"Confirmed {entry['time']}."]
     return "\n".join(lines) + "\n"

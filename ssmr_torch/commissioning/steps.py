@@ -1,4 +1,4 @@
-"""Small steps in each input, one by one: what moves, in which direction, how far, when, and how long it takes."""
+"""Small steps in each input, one input at a time: which output moves, how far, with which delay and settling time."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ import numpy as np
 from ssmr_torch.commissioning.safety_guard import GuardedPlant
 
 FIRST, LAST = 1 / 32, 1 / 2      # of the way to the farther bound: the smallest and the largest step
-SEEN, LOUD = 6.0, 30.0           # standard deviations of noise: an answer; one from which times can be told
-NEAR = 0.5                       # of the displacement limit, beyond which no step is doubled
-BEFORE, HOLD = 0.5, 2.0          # s of quiet before a step; s that it is held, and that the way back is
-LEFT = 4.0                       # the same, from which an answer has left the noise
+SEEN, LOUD = 6.0, 30.0           # times the noise: an answer is seen; an answer is large enough to measure times
+NEAR = 0.5                       # of the displacement limit: beyond it no step is doubled
+BEFORE, HOLD = 0.5, 2.0          # s at rest before a step; s that the step, and then the way back, is held
+LEFT = 4.0                       # times the noise: beyond it an answer has begun
 SETTLED = 0.05                   # of the final value
-FLOOR = 1e-6                     # m, of noise that is too small to be measured
+FLOOR = 1e-6                     # m: noise below this is taken as this
 
 
 @dataclass(frozen=True)
 class StepAnswer:
-    """What the outputs did after the largest step of one input.
+    """The motion of the outputs after the largest step of one input.
 
-    size: of the step, input unit, with its sign.   moved_m (p,): final displacement.   loudness: of the largest one, in
-    standard deviations of its noise.   output: name of that which moved most; None: nothing moved.
-    delay_s: from the command until the answer left the noise, beyond the one timestep that every sample has; the true
-    delay is at most that.
-    settling_s: until the answer stays within 5 % of its end; None: longer than the step was held.
-    time_s (K,), trace_m (K, p): the answer from the command on, from where it began.
+    size: of the step, input unit, with its sign.   moved_m: (p,), final displacement.   loudness: of the output that
+    moved most, in standard deviations of its noise.   output: name of that output; None: nothing moved.
+    delay_s: time from the command until the answer is larger than the noise, without the one timestep that every sample
+    needs; the true delay is not longer.   settling_s: time until the answer stays within 5 % of its end; None: it takes
+    longer than the step is held.
+    time_s (K,), trace_m (K, p): the answer since the command, relative to its start.
     """
 
     input: str
@@ -50,9 +50,9 @@ class StepAnswer:
 
 def measure_steps(plant: GuardedPlant, noise_std: np.ndarray, seed: int = 0,
                   report=lambda answer: None) -> list[StepAnswer]:
-    """One `StepAnswer` for each input; each begins from rest, and doubles its steps until the answer is loud.
+    """One `StepAnswer` for each input. Each starts from rest, with steps that are doubled until the answer is large.
 
-    noise_std: (p,) m.   report: called with each answer as soon as it is there.
+    noise_std: (p,) m.   report: called with each answer as soon as it is known.
     """
     answers = []
     for place in range(len(plant.input_names)):
@@ -95,11 +95,11 @@ def _judged(plant: GuardedPlant, place: int, size: float, trace: np.ndarray, mov
 
 
 def _delay(trace: np.ndarray, moved: np.ndarray, noise: np.ndarray, timestep: float) -> float | None:
-    """s until two samples in a row left the noise; row 0 is the first sample that can feel the step.
+    """Time in s until two samples in a row are beyond the noise; row 0 is the first sample that the step can change.
 
-    What is watched is the motion towards the end of the answer, all outputs together, each by its noise.
+    The motion towards the end of the answer is judged, all outputs together, each relative to its noise.
     """
-    towards = trace @ (moved / noise ** 2) / np.linalg.norm(moved / noise)  # of unit noise
+    towards = trace @ (moved / noise ** 2) / np.linalg.norm(moved / noise)  # its noise has standard deviation 1
     out = np.abs(towards) > max(LEFT, 0.01 * np.linalg.norm(moved / noise))
     both = out[:-1] & out[1:]
     return float(timestep * np.argmax(both)) if both.any() else None
@@ -118,6 +118,6 @@ def _hold(plant: GuardedPlant, u: np.ndarray, duration: float) -> np.ndarray:
 
 def _middle(rows: np.ndarray) -> np.ndarray:
     if not np.isfinite(rows).all(axis=1).any():
-        raise ValueError(f"none of {len(rows)} measurements arrived; expected most of them: see why the sensors are "
-                         "silent")
+        raise ValueError(f"none of {len(rows)} measurements arrived; expected most of them: check the sensors and the "
+                         "connection")
     return np.nanmean(rows, axis=0)

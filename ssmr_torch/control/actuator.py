@@ -1,4 +1,4 @@
-"""What stands between a command and the input that acts on the robot: play, friction, delay, lag, gain."""
+"""The actuator between a command and the input that acts on the robot: play, friction, delay, lag, gain."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ import numpy as np
 from ssmr_torch.control.condensing import compiled
 from ssmr_torch.settings import Settings, non_negative, positive, whole
 
-# Of an input's range: what the crossing adds to a width of zero, so that it stays defined.
+# Part of an input's range that is added to the width of the crossing, so that it is never zero.
 LEAST_WIDTH = 1e-3
 
 
 @dataclass(frozen=True)
 class Actuator(Settings):
-    """Command u → acting input v, per input and sample k, h the timestep, from rest at the first command:
+    """From command u to acting input v, for each input and sample k, timestep h, starting at rest at the first command:
 
         T_k = clip(T_{k−1}, low(u_k), high(u_k)),       low, high = u e^{∓friction} ∓ play · range, in order,
         r_k = clip(T_k, r_{k−1} ∓ rate h · range),
         x_k = share x_{k−1} + (1 − share) r_{k−d},      share = e^{−h / lag},  d = delay,
         v_k = gain x_k + offset · range.
 
-    T is a hysteresis: play of gears and cables, and a cable's friction, μθ of the capstan equation, about zero force
-    [Kaneko et al., ICRA 1991].
+    T has a hysteresis: the play of gears and cables, and the friction of a cable, μθ of the capstan equation, around
+    zero force [Kaneko et al., ICRA 1991].
 
     timestep: h, s.   input_range: (m,), highest minus lowest input.
-    delay: samples; that of the sensors is in it.   lag: s, of the first order.   play: half of its width, of the input
-    range.   friction: μθ, 1.   rate: input ranges per s; None: no limit.   ease: of the play's width, within which the
-    command crosses it in proportion: with less, noise would hammer.
-    gain: (m,) 1; None: one.   offset: (m,), of the input range; None: zero.
-    Raises ValueError for numbers that make no sense.
+    delay: samples, with the delay of the sensors.   lag: s, of first order.   play: half of its width, as a share of
+    the input range.   friction: μθ, 1.   rate: input ranges per s; None: no limit.   ease: part of the play's width in
+    which the command crosses it proportionally; a smaller value would turn noise into large steps.
+    gain: (m,) 1; None: one.   offset: (m,), as a share of the input range; None: zero.
+    Raises ValueError for impossible numbers.
     """
 
     timestep: float
@@ -68,7 +68,7 @@ class Actuator(Settings):
 
     @property
     def trivial(self) -> bool:
-        """Whether the acting inputs are the commands."""
+        """Whether the acting inputs equal the commands."""
         return not (self.delay or self.lag or self.rubs or self.rate or self.gain or self.offset)
 
     @property
@@ -78,7 +78,7 @@ class Actuator(Settings):
 
     @cached_property
     def share(self) -> float:
-        """What is left of a lag after a sample, e^{−h / lag}."""
+        """The part of a lag that remains after one sample, e^{−h / lag}."""
         return float(np.exp(-self.timestep / self.lag)) if self.lag else 0.0
 
     @cached_property
@@ -97,7 +97,7 @@ class Actuator(Settings):
 
     @cached_property
     def stride(self) -> np.ndarray:
-        """(m,), what the rate allows within a sample; infinite without a limit."""
+        """(m,), the largest change per sample that the rate allows; infinite without a limit."""
         return np.full(len(self.input_range), np.inf) if self.rate is None else self.rate * self.timestep * self._range
 
     @cached_property
@@ -105,24 +105,24 @@ class Actuator(Settings):
         return self.play * self._range
 
     def plain(self) -> dict:
-        """The settings as JSON has them."""
+        """The settings as plain JSON values."""
         return asdict(self)
 
     def acting(self, commands: np.ndarray) -> np.ndarray:
-        """v (T, m) of commands (T, m), from rest at the first one."""
+        """Acting inputs v (T, m) for commands (T, m), starting at rest at the first one."""
         commands = np.ascontiguousarray(commands, dtype=np.float64)
         return _acting(commands, self.delay, self.share, self._half, self.friction, self.stride, self.factor,
                        self.shift)
 
     def transmitted(self, held: np.ndarray, command: np.ndarray) -> np.ndarray:
-        """T of a command (m,) after T was `held` (m,)."""
+        """T after a command (m,), where T was `held` (m,) before."""
         if not self.rubs:
             return np.array(command, dtype=np.float64)
         low, high = self._edges(command)
         return np.minimum(np.maximum(held, low), high)
 
     def crossing(self, held: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        """The command (m,) that transmits `wanted` (m,) where T was `held` (m,); softly near it."""
+        """The command (m,) that transmits `wanted` (m,) where T was `held` (m,). It is smooth near `held`."""
         if not self.rubs:
             return np.array(wanted, dtype=np.float64)
         width = self.ease * (self._half + self.friction * np.abs(wanted)) + LEAST_WIDTH * self._range
@@ -131,7 +131,7 @@ class Actuator(Settings):
         return pulled * np.exp(self.friction * push * np.sign(pulled))
 
     def reachable(self, bounds: np.ndarray) -> np.ndarray:
-        """Bounds (2, m) of what can be transmitted from either side under commands within bounds (2, m)."""
+        """Bounds (2, m) of what can be transmitted from both sides by commands within bounds (2, m)."""
         if not self.rubs:
             return np.array(bounds, dtype=np.float64)
         slip = np.exp(self.friction)
@@ -147,9 +147,9 @@ class Actuator(Settings):
 
 
 class ActuatorState:
-    """An `Actuator` from sample to sample.
+    """The state of an `Actuator` from sample to sample.
 
-    transmitted (m,): T of the last command. acting (m,): v held over the sample before the one to come.
+    transmitted: (m,), T of the last command.   acting: (m,), the v that is held until the next sample.
     """
 
     def __init__(self, actuator: Actuator):
@@ -157,14 +157,14 @@ class ActuatorState:
         self.rest_at(np.zeros(len(actuator.input_range)))
 
     def rest_at(self, command: np.ndarray) -> None:
-        """As after this command (m,) for ever."""
+        """Set the state that a constant command (m,) leads to."""
         command = np.array(command, dtype=np.float64)
         self.transmitted, self._limited, self._lagged = command, command, command.copy()
         self._queue = [command] * self.actuator.delay
         self.acting = self.actuator.factor * command + self.actuator.shift
 
     def apply(self, command: np.ndarray) -> None:
-        """The command (m,) of this sample is given: `acting` is then what acts until the next."""
+        """Give the command (m,) of this sample. `acting` is then the input that acts until the next sample."""
         actuator = self.actuator
         self.transmitted = actuator.transmitted(self.transmitted, command)
         self._limited = np.minimum(np.maximum(self.transmitted, self._limited - actuator.stride),
@@ -174,7 +174,7 @@ class ActuatorState:
         self.acting = actuator.factor * self._lagged + actuator.shift
 
     def decided(self) -> tuple[np.ndarray, np.ndarray]:
-        """What the commands given so far still cause: acting inputs (d, m) of the next d samples, and x after them."""
+        """The effect of the commands so far: acting inputs (d, m) of the next d samples, and x after them."""
         x, found = self._lagged, np.empty((len(self._queue), len(self._lagged)))
         for k, transmitted in enumerate(self._queue):
             x = self.actuator.share * x + (1.0 - self.actuator.share) * transmitted
@@ -204,7 +204,7 @@ def _acting(u, delay, share, half, friction, stride, gain, shift):
 
 @compiled
 def lagged(commands, start, share, gain, shift):
-    """v (N, m) of transmitted inputs (N, m), x before them being `start` (m,)."""
+    """v (N, m) for transmitted inputs (N, m), where x before them is `start` (m,)."""
     out = np.empty_like(commands)
     for j in range(commands.shape[1]):
         x = start[j]

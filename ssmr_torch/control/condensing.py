@@ -1,18 +1,18 @@
-"""Compiled: from linearizations along the horizon to a quadratic program in the inputs."""
+"""Compiled functions that turn linearizations along the horizon into a quadratic program in the inputs."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
-# Sums may be reordered, but NaN and infinity must keep their meaning: they say that a rollout diverged.
+# Sums may be reordered, but NaN and infinity must keep their meaning: they show that a rollout diverged.
 compiled = njit(cache=True, fastmath={"reassoc", "contract"})
 
 
-# Loops instead of slices: what numba makes of `a[:] = b` takes four seconds more to compile.
+# Loops and no slices: numba needs four more seconds to compile `a[:] = b`.
 @compiled
 def copy(x, out):
-    """out = x, of as many entries."""
+    """out = x, for all entries of out."""
     for i in range(len(x)):
         out[i] = x[i]
 
@@ -28,9 +28,9 @@ def split(J, A, B):
 
 @compiled
 def sensitivities(A, B, C, scale):
-    """Y (N, p, N m) = ∂y_k/∂v and Z (N, p, n) = ∂y_k/∂z_0 of y_1 … y_N, v = u / scale.
+    """Y (N, p, N m) = ∂y_k/∂v and Z (N, p, n) = ∂y_k/∂z_0 for y_1 … y_N, where v = u / scale.
 
-    A (N, n, n), B (N, n, m), C (N, p, n) of each step and of the output after it, scale (m,).
+    A (N, n, n), B (N, n, m), C (N, p, n): of each step, and of the output after it.   scale: (m,).
     """
     N, n, m = B.shape
     p = C.shape[1]
@@ -115,7 +115,7 @@ def around(hessian, gradient, inputs, scale):
 
 @compiled
 def condensed(outputs, A, B, C, reference, inputs, scale, weight, R):
-    """`gauss_newton`, `gradient`, `around` and `sensitivities` at once: hessian, gradient, linear, Y, Z."""
+    """All at once: hessian, gradient, linear, Y, Z, of `gauss_newton`, `gradient`, `around` and `sensitivities`."""
     Y, Z = sensitivities(A, B, C, scale)
     hessian = gauss_newton(Y, weight, R)
     slope = gradient(Y, outputs, reference, weight, R, inputs, scale)
@@ -138,7 +138,7 @@ def tracking_cost(outputs, inputs, reference, weight, input_weight):
 
 @compiled
 def clipped(inputs, bounds):
-    """The inputs (N, m) moved into the bounds (2, m); what is not a number stays so."""
+    """The inputs (N, m) clipped to the bounds (2, m); NaN stays NaN."""
     moved = inputs.copy()
     for k in range(inputs.shape[0]):
         for j in range(inputs.shape[1]):
@@ -151,7 +151,7 @@ def clipped(inputs, bounds):
 
 @compiled
 def continues(reference, former, tolerance):
-    """Whether no entry of ŷ_1 … ŷ_{N−1} differs by more from that planned for the same time, the former ŷ_2 … ŷ_N."""
+    """Whether ŷ_1 … ŷ_{N−1} agree with the former ŷ_2 … ŷ_N, which are for the same times, within the tolerance."""
     for k in range(len(reference) - 1):
         for o in range(reference.shape[1]):
             if not abs(reference[k, o] - former[k + 1, o]) <= tolerance:
@@ -161,10 +161,10 @@ def continues(reference, former, tolerance):
 
 @compiled
 def output_rows(Y, v, normals, weights, lacking, length):
-    """Rows C (N r, N m) and lower bounds (N r,) of normalᵀ Σ_j weights_j Y_j Δv ≥ lacking, in units of `length`, over
-    v + Δv.
+    """Rows C (N r, N m) and lower bounds (N r,) of normalᵀ Σ_j weights_j Y_j Δv ≥ lacking over v + Δv, in units of
+    `length`.
 
-    normals (N, r, p), weights (N, r, N), lacking (N, r) m; a row without an obstacle lacks −∞.
+    normals (N, r, p), weights (N, r, N), lacking (N, r) m; in a row without an obstacle, lacking is −∞.
     """
     N, r, p = normals.shape
     size = Y.shape[2]

@@ -1,36 +1,36 @@
-"""Constraints on the outputs over the horizon, between its steps too: a box, half-planes, and the nearest circles."""
+"""Constraints on the outputs along the horizon, also between its steps: a box, half-planes, and the nearest circles."""
 
 from __future__ import annotations
 
 import numpy as np
 
-# circles that a stage looks at
+# Number of circles that a stage takes into account.
 NEAREST = 3
-# points of the predicted path at which a control step is looked at, its end the last of them
+# Number of points of the predicted path per control step; the last one is its end.
 PARTS = 2
-# A hard constraint's linear penalty is multiplied by these, one after the other, until the program needs no slack.
+# The linear penalty of a hard constraint is multiplied by these, one after the other, until no slack is needed.
 HEAVIER = (1e2, 1e4)
 
 
 class OutputConstraints:
     """lower ≤ y ≤ upper, normalᵀ y ≤ offset, ‖y − c(t)‖ ≥ radius along the predicted path, each as far as possible:
 
-        penalty = Σ over points and constraints of  linear · s + quadratic · s²,   s = max(0, violation) in m,
+        penalty = Σ over points and constraints of  linear · s + quadratic · s²,   s = max(0, violation) in m.
 
-    exact where `linear` exceeds what tracking gains by a violation. The path starts at y_0 with the velocity there,
-    which no input can change, and goes through y_1 … y_N; each stage is looked at in `PARTS` points (`path_weights`).
-    The straight piece of length l between two of them stays out of a circle where both keep √(radius² + l²/4) from its
-    center: so far is kept, with the longer of the pieces at a point.
-    Circles enter the quadratic program as the half-plane that touches them at the place next to the present prediction,
-    at the time of the point, and as the `NEAREST` ones of each stage only; the penalty counts all of them. What keeps
-    that half-plane keeps out of the circle.
+    The penalty is exact where `linear` is larger than what tracking gains by a violation. The path starts at y_0 with
+    the velocity there, which no input can change, and goes through y_1 … y_N. Each stage has `PARTS` points
+    (`path_weights`). The straight piece of length l between two points stays out of a circle if both points keep
+    √(radius² + l²/4) from its center; this distance is required, with the longer of the two pieces at a point.
+    In the quadratic program a circle is the half-plane that touches it at the place next to the present prediction, at
+    the time of the point. A point outside this half-plane is outside the circle. Each stage has only its `NEAREST`
+    circles; the penalty counts all circles.
 
-    columns: the tracked outputs, in which the obstacles lie; obstacles: with `clearance(time, outputs)`, circles with
-    `centers(time)`, `center` (callable where it moves) and `radius`, half-planes with `normal` and `offset`, such as
+    columns: the tracked outputs, in which the obstacles lie.   obstacles: with `clearance(time, outputs)`; circles with
+    `centers(time)`, `center` (callable where it moves) and `radius`; half-planes with `normal` and `offset`, such as
     those of `tasks.obstacles`.
-    output_bounds: (2, p) m, ±inf where there is no bound, or None. margins: (N,) m, by which every constraint is
-    tightened at its stage. hard: no violation where the inputs can avoid it, whatever tracking gains by it: the linear
-    part then grows by the factors `HEAVIER`.
+    output_bounds: (2, p) m, ±inf where there is no bound, or None. margins: (N,) m, by which all constraints of a
+    stage are tightened. hard: a violation only where no input can avoid it, whatever tracking gains by it; the linear
+    part is then multiplied by `HEAVIER`.
     Raises ValueError for crossed bounds or sizes that disagree.
     """
 
@@ -47,7 +47,7 @@ class OutputConstraints:
             self._centers[i] = circle.centers(np.zeros(self.points))
         self.tighten(np.zeros(horizon) if margins is None else margins)
         self.linear, self.quadratic, self.hard = float(linear), float(quadratic), bool(hard)
-        # what a violation costs where iterates are compared, 1/m
+        # The cost of a violation when iterates are compared, 1/m.
         self.price = self.linear * (HEAVIER[-1] if self.hard else 1.0)
         if not (self.linear > 0 and self.quadratic > 0):
             raise ValueError(f"linear is {linear} and quadratic {quadratic}; expected positive weights of a violation")
@@ -57,11 +57,11 @@ class OutputConstraints:
         self.rows_per_stage = PARTS * (len(self.offsets) + self.nearest)
 
     def tighten(self, margins) -> None:
-        """Other margins, (N,) m. Raises ValueError for another number of them, or a negative one."""
+        """Set other margins, (N,) m. Raises ValueError for a wrong number of them, or a negative one."""
         found = np.array(margins, dtype=np.float64)
         if found.shape != (self.horizon,) or not (np.isfinite(found) & (found >= 0)).all():
-            raise ValueError(f"margins are {found.tolist()}; expected {self.horizon} lengths, one for each step of "
-                             "the horizon, none negative")
+            raise ValueError(f"margins are {found.tolist()}; expected {self.horizon} lengths in m, one for each step "
+                             "of the horizon, none negative")
         self.margins = found
 
     def _checked(self, bounds) -> np.ndarray:
@@ -97,12 +97,13 @@ class OutputConstraints:
         return centers
 
     def ahead(self, time: float, period: float, start: np.ndarray) -> ConstraintsAhead:
-        """Seen from `time` s, a control step every `period` s; start (2, p) m: y_0 and period · dy/dt there."""
+        """The constraints from time `time` s on, a control step every `period` s; start (2, p) m: y_0, period · dy/dt.
+        """
         return ConstraintsAhead(self, time + period / PARTS * np.arange(self.points), start)
 
 
 class ConstraintsAhead:
-    """`OutputConstraints` from one time and place on: functions of the outputs y_1 … y_N (N, p) m alone.
+    """`OutputConstraints` from one time and place on, as functions of the outputs y_1 … y_N (N, p) m alone.
 
     times: of the path's points, (N PARTS + 1,) s; start (2, p) m: y_0 and its change in a period at the velocity there.
     """
@@ -120,7 +121,7 @@ class ConstraintsAhead:
 
             normalᵀ Σ_j weights_j (y_j − outputs_j) ≥ lacking,
 
-        lacking: the margin less the clearance of these outputs. Of a stage first the rows of its first point.
+        lacking: the margin minus the clearance of these outputs. The rows of a stage's first point come first.
         """
         own, path = self.constraints, self.path(outputs)
         each, fixed, p = own.rows_per_stage // PARTS, len(own.offsets), own.output_dim
@@ -131,7 +132,7 @@ class ConstraintsAhead:
             chosen = self._chosen(clearance)
             point = np.arange(own.points - 1)
             away, distance = away[chosen, point], distance[chosen, point]
-            inside = distance < 1e-9  # at the very center every direction is as good: the first axis
+            inside = distance < 1e-9  # at the center no direction is better than another: take the first axis
             direction = np.where(inside[..., None], [1.0, 0.0], away / np.maximum(distance, 1e-9)[..., None])
             normals[:, fixed:, own.columns[:2]] = direction.swapaxes(0, 1)
             lacking[:, fixed:] = -clearance[chosen, point].T
@@ -145,13 +146,13 @@ class ConstraintsAhead:
         if own.nearest == len(own.circles):
             return np.broadcast_to(np.arange(own.nearest)[:, None], (own.nearest, own.points - 1))
         closest = clearance.reshape(len(own.circles), own.horizon, PARTS).min(axis=-1)
-        # in their own order: a solver that starts from its last solution finds every row where it was
+        # In a fixed order, so that a solver that starts from its last solution finds every row in its place.
         chosen = np.sort(np.argpartition(closest, own.nearest - 1, axis=0)[:own.nearest], axis=0)
         return np.repeat(chosen, PARTS, axis=1)
 
     def _of_circles(self, path: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of every circle at each point but the start, (circles, N PARTS): the clearance, lessened by how deep the
-        straight pieces dip; the point seen from the center, (·, ·, 2), and its distance.
+        """For every circle at each point but the start, (circles, N PARTS): the clearance, minus the depth to which
+        the straight pieces enter; the vector from the center to the point, (·, ·, 2), and its length.
         """
         own = self.constraints
         seen = path[:, own.columns[:2]] - self._centers
@@ -163,7 +164,7 @@ class ConstraintsAhead:
         return distance - np.sqrt(np.square(own.radii)[:, None] + 0.25 * longer), away, distance
 
     def clearances(self, outputs: np.ndarray) -> np.ndarray:
-        """Of every constraint at every point, less the margins, (N PARTS, ·) m; negative where it is violated."""
+        """Clearance minus margin of every constraint at every point, (N PARTS, ·) m; negative where it is violated."""
         own, path = self.constraints, self.path(outputs)
         found = [path[1:] @ own.normals.T - own.offsets] if len(own.offsets) else []
         if own.circles:
@@ -171,7 +172,7 @@ class ConstraintsAhead:
         return np.concatenate(found, axis=1) - np.repeat(own.margins, PARTS)[:, None]
 
     def violation(self, outputs: np.ndarray) -> float:
-        """The largest, m; 0 where every constraint is kept."""
+        """The largest violation, m; 0 where every constraint is kept."""
         return max(-float(self.clearances(outputs).min()), 0.0)
 
     def penalty(self, outputs: np.ndarray) -> float:
@@ -183,9 +184,9 @@ class ConstraintsAhead:
 def path_weights(steps: int, parts: int) -> np.ndarray:
     """(steps · parts + 1, steps + 2): points of the path as weighted sums of y_0, T dy_0/dt, y_1 … y_steps.
 
-    At t/T = 0, 1/parts, … steps. In the first step the parabola that leaves y_0 with its velocity and arrives at y_1,
-    exact where the acceleration is constant while an input is held; after it the polynomial through the four outputs
-    next to t, two on either side where there are (Lagrange), exact for paths of degree three.
+    The times are t/T = 0, 1/parts, … steps. In the first step it is the parabola from y_0 with its velocity to y_1,
+    exact where the acceleration is constant while an input is held. Later it is the polynomial through the four outputs
+    next to t, two on each side where possible (Lagrange), exact for paths of degree three.
 
     >>> path_weights(3, 2)[[1, 3]]
     array([[ 0.75  ,  0.25  ,  0.25  ,  0.    ,  0.    ],

@@ -1,4 +1,4 @@
-"""A stationary observer with gains that were found from recordings, and what keeps it from getting lost."""
+"""The observer of a designed controller: fixed gains from recordings, with a restart when it has lost the state."""
 
 from __future__ import annotations
 
@@ -11,45 +11,45 @@ from ssmr_torch.control.outlier_gate import InnovationGate
 from ssmr_torch.control.stepping import Stepper
 from ssmr_torch.periods import whole_steps
 
-BEYOND = 1.2      # times the recorded range: a state there which mispredicts as well is lost
-STRANGE = 10      # samples in a row that it must do so
-PATIENCE = 50     # more samples in a row, if it never came back after a start anew
-FAR = 3.0         # times the recorded range: no state is there, whatever is measured
-SETTLING = 10.0   # s that the model is given to come to rest
+BEYOND = 1.2      # times the recorded range: a state beyond it that also mispredicts is lost
+STRANGE = 10      # samples in a row in which it must be so
+PATIENCE = 50     # more samples in a row, if it did not come back after a restart
+FAR = 3.0         # times the recorded range: a state beyond it is always lost
+SETTLING = 10.0   # s in which the model comes to rest
 
 
 class DisturbanceObserver:
-    """Reduced state z and a disturbance d of every output from measurements y, an `Estimator`:
+    """An `Estimator` of the reduced state z and of a disturbance d of every output, from measurements y:
 
         z⁻ = f(z, v),   e = y − w(z⁻) − d,   z⁺ = z⁻ + K_z e,   d⁺ = d + K_d e,   |d| ≤ limit.
 
-    v: what acts on the robot, which is taken to be at rest under the v of then at first. What the model does not
-    explain of the first whole measurement belongs to d, not to z, so that a payload does not put the state where no
-    data are.
-    An outlier, see `InnovationGate`, is left out. A sample that is missing, not finite, only predicts.
-    A state beyond the recorded range that mispredicts as well, by `lost` in a watched output, starts anew from the
-    chart of the last samples less d, and so does the first state after a gap in time; d stays.
+    v is the input that acts on the robot. At first the robot is assumed to be at rest under the present v. What the
+    model does not explain in the first complete measurement is given to d and not to z, so that a payload does not put
+    the state where there are no data.
+    Outliers are left out, see `InnovationGate`. After a sample that is missing (not finite), it only predicts.
+    A state outside the recorded range that also mispredicts, by more than `lost` in a watched output, is replaced by
+    the chart of the last samples minus d. So is the first state after a gap in time. d is kept.
 
     model: NumPy tables at the timestep of the measurements.   gain: (n + p, p), [K_z; K_d].   covariance: (p, p) m², of
     the innovation.   limit: (p,) m.   lost: m.   watched: columns of y.   input_range is not needed.
-    `counts`: how often it "gated", and "observer restarted". Raises ValueError for sizes that do not fit the model.
+    `counts`: numbers of "gated" samples and of "observer restarted". Raises ValueError for sizes that do not fit.
     """
 
     def __init__(self, model, input_range=None, *, gain, covariance, limit, lost: float, watched=None):
         self.model = model
         n, p = model.state_dim, model.output_dim
-        self._gain = np.array(gain, dtype=np.float64, order="C")  # another order would round products otherwise
+        self._gain = np.array(gain, dtype=np.float64, order="C")  # another order would round products differently
         self._precision = np.linalg.inv(np.array(covariance, dtype=np.float64, order="C"))
         self._limit = np.array(np.broadcast_to(np.asarray(limit, dtype=np.float64), (p,)))
         if self._gain.shape != (n + p, p) or self._precision.shape != (p, p):
-            raise ValueError(f"the gain has shape {self._gain.shape} and the covariance {self._precision.shape}; a "
-                             f"model of {n} states and {p} outputs needs ({n + p}, {p}) and ({p}, {p})")
+            raise ValueError(f"the gain has shape {self._gain.shape} and the covariance {self._precision.shape}; "
+                             f"expected ({n + p}, {p}) and ({p}, {p}) for a model of {n} states and {p} outputs")
         self._lost, self._watched = float(lost), list(range(p) if watched is None else watched)
         self._range = np.where(np.isfinite(model.state_scale) & (model.state_scale > 0), model.state_scale, np.inf)
         self._step = Stepper(model)
         self._chart = ChartEstimator(model, whole_steps("the model's window_timestep", model.window_timestep,
                                                         model.timestep))
-        self._rest: tuple[bytes, np.ndarray, np.ndarray] | None = None  # the last one, which takes long to find
+        self._rest: tuple[bytes, np.ndarray, np.ndarray] | None = None  # the last rest, because finding it is slow
         self._gate = InnovationGate()
         self.reset()
 
@@ -60,13 +60,13 @@ class DisturbanceObserver:
         self.forget()
 
     def forget(self) -> None:
-        """As `reset`, but counts stay, and the disturbance: what hangs on the robot outlasts a gap in time."""
+        """Like `reset`, but counts and disturbance are kept: a payload is still there after a gap in time."""
         self._chart.reset()
         self._gate.reset()
         self._gap, self._strange = self._begun, 0
 
     def rest(self, acting: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """State and output where the model comes to rest under v (m,); of rest itself where it leaves its range."""
+        """State and output of the model at rest under v (m,); of the chart at zero if the model leaves its range."""
         key = np.asarray(acting, dtype=np.float64).tobytes()
         if self._rest is None or self._rest[0] != key:
             window = np.zeros((self.model.delays + 1, self.model.output_dim))
@@ -111,7 +111,7 @@ class DisturbanceObserver:
         self._strange = self._strange + 1 if mispredicts and not self._inside(self._z) else 0
 
     def _from_chart(self) -> bool:
-        """Whether the chart knows a state, which is then that of the observer."""
+        """Take the state from the chart, if the chart has one; returns whether it has."""
         z, _, _ = self._chart.state()
         known = bool(np.isfinite(z).all())
         if known:

@@ -1,7 +1,7 @@
-"""A model over the horizon: rollout, sensitivities, condensing to a quadratic program in the inputs.
+"""A model over the horizon: rollout, sensitivities, and condensing to a quadratic program in the inputs.
 
-`horizon_for` chooses: constant matrices for affine models, the compiled kernel that a model names, and the batched
-linearization in NumPy for every other model.
+`horizon_for` chooses how: with constant matrices for affine models, with the compiled kernel that a model names, or
+with the batched linearization in NumPy for every other model.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ssmr_torch.control.constraints import ConstraintsAhead
 from ssmr_torch.control.tracking_problem import TrackingProblem
 from ssmr_torch.lazy import found
 
-# T dy/dt from y_0 and those one, two and three periods later: differences of first to third order.
+# T dy/dt from y_0 and the outputs one, two and three periods later: differences of first to third order.
 VELOCITY = [np.array([-1.0, 1.0]), np.array([-1.5, 2.0, -0.5]), np.array([-11.0, 18.0, -9.0, 2.0]) / 6]
 
 
@@ -30,8 +30,8 @@ class Condensed(NamedTuple):
         gradient (N m,)    = 2 (Σ_k Y_kᵀ Q_k (y_k − ŷ_k) + R (v − v̄) + Dᵀ S D v),
         linear (N m,)      = gradient − hessian v,
 
-    the Gauss-Newton matrix and the exact gradient of the tracking cost / cost_scale, with Q and R scaled alike; the
-    hessian is at least twice the identity. sensitivity (N, p, N m): Y; initial (N, p, n): ∂y_k/∂z_0.
+    the Gauss-Newton matrix and the exact gradient of the tracking cost / cost_scale, with Q and R scaled the same way.
+    The hessian is at least twice the identity. sensitivity (N, p, N m): Y; initial (N, p, n): ∂y_k/∂z_0.
     """
 
     states: np.ndarray
@@ -44,12 +44,12 @@ class Condensed(NamedTuple):
 
 
 class Horizon(ABC):
-    """A model, stepping by the problem's period, and a problem: single shooting from a measured state.
+    """A model that steps by the problem's period, and a problem: single shooting from a measured state.
 
     input_offset (m,), output_offset (p,): of a constant disturbance, z⁺ = f(z, u + input_offset), y = w(z) +
     output_offset; None: none.
-    actuator: what follows a lag and gains instead of the planned inputs is what acts, from `lagged_from` (m,) on.
-    last_input: (m,), u_{−1}, from which moves count; None: the first input may be any.
+    actuator: if given, not the planned inputs act, but the inputs after its lag and gains, starting at `lagged_from`
+    (m,).   last_input: (m,), u_{−1}, from which changes are counted; None: the first input is free.
     """
 
     def __init__(self, model, problem: TrackingProblem, actuator: Actuator | None = None):
@@ -66,12 +66,12 @@ class Horizon(ABC):
         self._changes = _change_matrix(problem) if problem.moves else None
         self._plain = self._mixing is None and self._changes is None and problem.huber is None \
             and problem.input_target is None
-        # the weights of the inputs are added afterwards where they are more than a diagonal
+        # The weights of the inputs are added later where they are not a diagonal.
         self._own_R = self._R if self._plain else np.zeros_like(self._R)
 
     @abstractmethod
     def _rollout(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`rollout` without a disturbance, of inputs that act."""
+        """`rollout` under acting inputs, without a disturbance."""
 
     def _acting(self, inputs: np.ndarray) -> np.ndarray:
         if self.actuator is not None:
@@ -83,10 +83,10 @@ class Horizon(ABC):
         return outputs if self.output_offset is None else outputs + self.output_offset
 
     def constraints_ahead(self, time: float, state: np.ndarray, held: np.ndarray) -> ConstraintsAhead | None:
-        """The problem's constraints, where there are any, seen from a state (n,) at a time in s.
+        """The problem's constraints seen from a state (n,) at a time in s; None where there are none.
 
-        The velocity there is that of the predictions under the input held so far (m,): whatever comes next, it is the
-        same at first.
+        The velocity there is that of the predictions under the present input (m,). It does not depend on the inputs
+        that follow.
         """
         if self.problem.constraints is None:
             return None
@@ -103,15 +103,15 @@ class Horizon(ABC):
 
     @abstractmethod
     def _condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
-        """`condense` by inputs that act, with `_own_R` and without moves."""
+        """`condense` for acting inputs, with `_own_R` and without changes of the inputs."""
 
     def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
-        """The problem around these inputs with ŷ_1 … ŷ_N = reference (N, p)."""
+        """The problem around these inputs, where ŷ_1 … ŷ_N = reference (N, p)."""
         point = self._condense(state, inputs, reference)
         return point if self._plain else self._with_inputs(point, inputs, reference)
 
     def _with_inputs(self, point: Condensed, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
-        """By planned inputs, with their weights, those of their changes, and Huber's."""
+        """The problem for planned inputs, with their weights, the weights of their changes, and Huber's weights."""
         Y, hessian, size = point.sensitivity, point.hessian, inputs.size
         if self._mixing is not None:
             Y = (Y.reshape(-1, size) @ self._mixing).reshape(Y.shape)
@@ -137,7 +137,7 @@ class Horizon(ABC):
         return whole if self._changes is None else whole + self._changes
 
     def moved(self, point: Condensed, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
-        """The same linearization seen from another measured state and reference: the feedback phase."""
+        """The same linearization for another measured state and reference: the feedback phase."""
         outputs = point.outputs + point.initial @ (state - point.states[0])
         gradient, linear = self._gradients(point.hessian, point.sensitivity, outputs, reference, inputs)
         return point._replace(outputs=outputs, gradient=gradient, linear=linear)
@@ -173,7 +173,7 @@ class LinearizedHorizon(Horizon):
 
 
 class CompiledHorizon(Horizon):
-    """Tables of a kernel and its two functions, `rollout` and `condense`; `LinearizedHorizon` is the reference."""
+    """A kernel's tables and its two functions, `rollout` and `condense`. `LinearizedHorizon` is the reference."""
 
     def __init__(self, model, problem: TrackingProblem, actuator, tables, rollout, condense):
         super().__init__(model, problem, actuator)
@@ -191,7 +191,7 @@ class CompiledHorizon(Horizon):
 
 
 class LinearHorizon(LinearizedHorizon):
-    """z⁺ = A z + B u + c, y = C z + d: all matrices over the horizon are made once; a step costs two products."""
+    """z⁺ = A z + B u + c, y = C z + d: all matrices over the horizon are made once, and a step costs two products."""
 
     def __init__(self, model, problem: TrackingProblem, actuator: Actuator | None = None):
         super().__init__(model, problem, actuator)
@@ -221,7 +221,7 @@ class LinearHorizon(LinearizedHorizon):
         return self._offset + reached.reshape(self._offset.shape)
 
     def condense(self, state: np.ndarray, inputs: np.ndarray, reference: np.ndarray) -> Condensed:
-        """The constant matrices; states holds the first state alone."""
+        """The problem with the constant matrices. `states` holds only the first state."""
         outputs, hessian = self._seen(self._outputs(state, self._acting(inputs))), self._hessian
         weight = self._weight_at(outputs, reference)
         if weight is not self._weight:
@@ -240,13 +240,13 @@ def _change_matrix(problem: TrackingProblem) -> np.ndarray:
 
 
 def horizon_for(model, problem: TrackingProblem, actuator: Actuator | None = None) -> Horizon:
-    """The fastest horizon for this model, stepping by the problem's period.
+    """The fastest horizon for this model, with steps of the problem's period.
 
-    Raises ValueError when the model's inputs or outputs are not those of the problem.
+    Raises ValueError when the number of the model's inputs or outputs differs from the problem's.
     """
     if (model.input_dim, model.output_dim) != (problem.input_dim, problem.output_dim):
         raise ValueError(f"the model has {model.input_dim} inputs and {model.output_dim} outputs; "
-                         f"the problem has {problem.input_dim} and {problem.output_dim}")
+                         f"expected {problem.input_dim} and {problem.output_dim}, as in the problem")
     model = model.at_timestep(problem.period)
     if model.affine:
         return LinearHorizon(model, problem, actuator)

@@ -1,7 +1,7 @@
-"""The compiled horizon of a polynomial model: its step and the sensitivities of every step, fed from its forms.
+"""The compiled horizon of a polynomial model: rollout and sensitivities of every step, computed from its forms.
 
-A step applies the dynamics again and again with the input held: four stages of Runge-Kutta per substep, an Euler step,
-or a map. z and S = [∂z/∂z_0, ∂z/∂u] are carried along. The held input is folded into the tables once per step.
+A step evaluates the dynamics several times with the input held: four stages of Runge-Kutta per substep, an Euler step,
+or a map. It carries z and S = [∂z/∂z_0, ∂z/∂u] along. The held input is folded into the tables once per step.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ RUNGE_KUTTA, EULER = SCHEMES.index("runge_kutta"), SCHEMES.index("euler")
 
 
 def compiled_polynomial(model) -> tuple | None:
-    """Tables, `rollout` and `condense` of a `PolynomialModel`; None where its observables are lifted anew, or its
-    output coordinates are a user's own.
+    """Tables, `rollout` and `condense` of a `PolynomialModel`; None for a model with re-lifting, or with output
+    coordinates of a user.
     """
     foreign = model.coordinates is not None and model.coordinates.markers() is None
     return None if model.structure.relift or foreign else (tuple(tables_of(model)), rollout, condense)
@@ -26,7 +26,7 @@ def compiled_polynomial(model) -> tuple | None:
 
 @compiled
 def table_product(table, powers, out):
-    """out = table · powers, for as many powers as the table has columns; four rows at a time share their loads."""
+    """out = table · powers, for as many powers as the table has columns. Four rows at a time share their loads."""
     rows, columns = table.shape
     whole = rows - rows % 4
     for i in range(0, whole, 4):
@@ -57,14 +57,14 @@ def powers_of(x, products, out):
 
 @compiled
 def _weights(terms, u_powers, weights):
-    """What each term weighs while the input u is held."""
+    """The weight of each term while the input u is held."""
     for e in range(len(terms)):
         weights[e] = u_powers[terms[e, 0]] * terms[e, 1]
 
 
 @compiled
 def _held(free, columns, weights, fields, out):
-    """The columns of out that the input changes: those of free, and the terms of each."""
+    """out = the columns that the input changes: the columns of `free` plus their terms."""
     for c in range(len(columns)):
         column, first, count = columns[c, 0], columns[c, 1], columns[c, 2]
         for i in range(len(fields)):
@@ -76,7 +76,7 @@ def _held(free, columns, weights, fields, out):
 
 @compiled
 def _saturate(edge, x, slopes):
-    """z, in the first entries of x, becomes s(z), with the slopes of s; see `models.saturation`."""
+    """Replace z, the first entries of x, by s(z); slopes = the slopes of s. See `models.saturation`."""
     for i in range(len(edge)):
         over, slopes[i] = abs(x[i]) / edge[i] - 1.0, 1.0
         if over > 0.0:
@@ -86,7 +86,7 @@ def _saturate(edge, x, slopes):
 
 @compiled
 def _keep_linear(z, within, linear, k):
-    """k, of s(z), becomes that with what is linear in z as it is."""
+    """Correct k, computed with s(z): its linear part must use z itself."""
     for j in range(len(z)):
         if within[j] != z[j]:
             for i in range(len(k)):
@@ -95,7 +95,7 @@ def _keep_linear(z, within, linear, k):
 
 @compiled
 def _bend(F, slopes, linear):
-    """F (n n,), by s(z), becomes that by z: the linear part whole, the others by the slopes of s."""
+    """Turn F (n n,), the derivative by s(z), into that by z: the linear part unchanged, the rest times the slopes."""
     n = len(slopes)
     for j in range(n):
         if slopes[j] < 1.0:
@@ -105,7 +105,7 @@ def _bend(F, slopes, linear):
 
 @compiled
 def _carried(F, G, S, K, first):
-    """K = F S + [0, G], of S = [∂z/∂z_0, ∂z/∂u] (n, n + m), which at first is [1, 0]."""
+    """K = F S + [0, G], for S = [∂z/∂z_0, ∂z/∂u] (n, n + m), which is [1, 0] at first."""
     n, columns = S.shape
     m = columns - n
     for i in range(n):
@@ -125,7 +125,7 @@ def _carried(F, G, S, K, first):
 
 @compiled
 def _reach(x, start, total, k, stage, h):
-    """x of the next of four stages, or after the last the new x; total gathers the rates k."""
+    """x of the next of four stages, or after the last one the new x; total sums up the rates k."""
     share, reach = 1.0 if stage % 3 == 0 else 2.0, h if stage == 2 else 0.5 * h
     for i in range(len(x)):
         total[i] += share * k[i]
@@ -141,7 +141,7 @@ def _begin(x, start, total):
 
 @compiled
 def _stepped(x, k, start, total, scheme, stage, h):
-    """x after one evaluation k of the dynamics: the next stage, x + h k of an Euler step, or k of a map."""
+    """x after one evaluation k of the dynamics: the next stage, or x + h k for an Euler step, or k for a map."""
     if scheme == RUNGE_KUTTA:
         if stage == 0:
             _begin(x, start, total)
@@ -155,7 +155,7 @@ def _stepped(x, k, start, total, scheme, stage, h):
 
 @compiled
 def _observe(output, powers, markers, xi, y):
-    """y of a state, by its powers; xi, the coordinates and three more, is filled where there are markers."""
+    """y of a state, from its powers. Where there are markers, xi is filled: the coordinates and three more entries."""
     if len(markers):
         table_product(output, powers, xi)
         place(markers, xi, xi[len(output):], y)
@@ -165,7 +165,7 @@ def _observe(output, powers, markers, xi, y):
 
 @compiled
 def _observe_slopes(output_z, powers, markers, xi, D, C):
-    """C (p, n) = ∂y/∂z there, after `_observe`; D (p', n) is filled where there are markers."""
+    """C (p, n) = ∂y/∂z there, after `_observe`. Where there are markers, D (p', n) is filled."""
     if len(markers):
         table_product(output_z, powers, D.reshape(D.size))
         place_slopes(markers, xi, D, xi[len(D):], C)
@@ -264,7 +264,7 @@ def linearize(state, inputs, tables):
 
 @compiled
 def condense(state, inputs, acting, reference, tables, scale, weight, R):
-    """As `condensing.condensed` of the linearization around `acting`, what the plant gets; states and outputs first."""
+    """`condensing.condensed` of the linearization around `acting`, the inputs that act; states and outputs first."""
     states, outputs, A, B, C = linearize(state, acting, tables)
     return states, outputs, *condensed(outputs, A, B, C, reference, inputs, scale, weight, R)
 

@@ -1,6 +1,6 @@
-"""Compiled: outputs y = χ⁻¹(ξ) and their slopes from values in output coordinates, see `models.output_coordinates`.
+"""Compiled functions: outputs y = χ⁻¹(ξ) and their slopes from output coordinates, see `models.output_coordinates`.
 
-markers: rows (first coordinate, first output, how many, weight, r₀, e) as `Mixture.markers` gives them.
+markers: rows (first coordinate, first output, how many, weight, r₀, e), as `Mixture.markers` gives them.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from ssmr_torch.models.output_coordinates import COSINE, SINC, SINC_SLOPE, SPREA
 
 @compiled
 def count_outputs(markers, coordinates):
-    """p, the length of y; as many as coordinates where there are no markers."""
+    """p, the length of y; equal to the number of coordinates where there are no markers."""
     count = 0 if len(markers) else coordinates
     for k in range(len(markers)):
         count = max(count, int(markers[k, 1] + markers[k, 2]))
@@ -29,7 +29,7 @@ def _series(coefficients, square):
 
 @compiled
 def _bent(marker, xi, lateral):
-    """Axial part and t = a² of a marker's coordinates; lateral (3,) is filled."""
+    """Axial part and t = a² of a marker's coordinates; fills lateral (3,)."""
     first, count, r0, along, t = int(marker[0]), int(marker[2]), marker[4], 0.0, 0.0
     for i in range(count):
         along += xi[first + i] * marker[5 + i]

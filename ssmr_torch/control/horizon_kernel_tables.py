@@ -1,7 +1,7 @@
-"""The forms of a polynomial model as the compiled kernel reads them: tables over a closure of monomials.
+"""The tables of the compiled kernel: the forms of a polynomial model over a closure of monomials.
 
 Where a step evaluates the dynamics often, or they are affine in the input, the held input is folded into the tables
-once per step, which are then over monomials of z. Otherwise they stay over those of z and u together.
+once per step; the tables are then over monomials of z. Otherwise they are over monomials of z and u together.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from ssmr_torch.models.monomials import Monomials
 from ssmr_torch.models.split import derivative_table, output_table, products, split, trimmed
 from ssmr_torch.models.structure import SCHEMES
 
-# A number of a column that is summed up alone takes as long as so many of whole tables.
+# A number in a column that is summed up alone costs as much as this many numbers of a whole table.
 SCATTERED = 3
 
 
 class KernelTables(NamedTuple):
-    """Tables over the closure of the monomials of x, which is z, or (z, u); indices unsigned, which index faster.
+    """Tables over the closure of the monomials of x, which is z or (z, u). Indices are unsigned, which is faster.
 
     products, u_products (2, ·): entry 1 + len(x) + i of the closure of x is entry products[0, i] times
-    x[products[1, i]]; likewise of u. free (n, ·): dynamics without what is folded in. columns (C, 3): a column that the
-    held input changes, and where its terms begin and how many there are; terms (E, 2): place of a monomial of u in the
-    closure of u, and a factor; fields (n, E): what it multiplies. With _z (n n rows): of ∂f/∂z; with _u (n rows, m
-    blocks of columns): of ∂f/∂u. output (p, ·), output_z (p n, ·): of y and ∂y/∂z, or (p', ·), (p' n, ·) of ξ and ∂ξ/∂z
-    where markers (·, 8) has rows: y = χ⁻¹(ξ), see `kernel_outputs`. linear (n, n): what is linear in z; edge (n,):
-    where other terms saturate, empty where they do not. variables: length of x. scheme, length (s): of Runge-Kutta
-    substeps or Euler steps. count: evaluations of the dynamics in a step.
+    x[products[1, i]]; the same for u. free (n, ·): dynamics without the folded part. columns (C, 3): a column that the
+    held input changes, where its terms begin, and how many there are. terms (E, 2): place of a monomial of u in the
+    closure of u, and a factor. fields (n, E): the column that it multiplies. With _z (n n rows): for ∂f/∂z; with _u (n
+    rows, m blocks of columns): for ∂f/∂u. output (p, ·), output_z (p n, ·): y and ∂y/∂z; or (p', ·), (p' n, ·) for ξ
+    and ∂ξ/∂z where markers (·, 8) has rows, y = χ⁻¹(ξ), see `horizon_kernel_outputs`. linear (n, n): the part linear in
+    z. edge (n,): where other terms saturate; empty without saturation. variables: length of x. scheme, length (s): of
+    Runge-Kutta substeps or Euler steps. count: evaluations of the dynamics in a step.
     """
 
     products: np.ndarray
@@ -58,8 +58,8 @@ class KernelTables(NamedTuple):
 
 
 def tables_of(model) -> KernelTables:
-    """The kernel's tables of a `PolynomialModel` whose observables are not lifted anew, and whose output coordinates,
-    if it has any, have `markers`.
+    """The kernel's tables of a `PolynomialModel` without re-lifting, whose output coordinates, if it has any, have
+    `markers`.
     """
     count = 4 * model.substeps if model.flow else model.repeats
     states, inputs, folded = _folded(model)
@@ -84,7 +84,7 @@ def _folded(model) -> tuple[Monomials, Monomials, tuple]:
     by_input = [(j * found.columns_u + first, count, offset, place, factor)
                 for place, factor, j, first, count, offset in found.runs_u.tolist()]
     free_u = np.zeros((n, m * found.columns_u))
-    for column, count, offset, _, factor in [run for run in by_input if run[3] == 0]:  # what is linear in u
+    for column, count, offset, _, factor in [run for run in by_input if run[3] == 0]:  # the runs linear in u
         free_u[:, column:column + count] += factor * found.fields[:, offset:offset + count]
     return found.states, found.inputs, (
         found.free, *_by_column(_plain(found.runs), found.fields),
@@ -93,7 +93,7 @@ def _folded(model) -> tuple[Monomials, Monomials, tuple]:
 
 
 def _joint(model) -> tuple[Monomials, tuple]:
-    """The same over monomials of (z, u), with nothing left to fold in."""
+    """The same over monomials of (z, u); nothing is left to fold in."""
     n, form = model.state_dim, model.dynamics_form
     states = Monomials(form.monomials.variables, dict.fromkeys([*form.monomials.factors,
                                                                 *model.structure.parametrization.factors]))
@@ -110,7 +110,7 @@ def _of_variables(table: np.ndarray, states: Monomials, first: int, last: int) -
 
 
 def _work(tables: tuple, count: int) -> int:
-    """Multiplications of a step: free tables for each evaluation of the dynamics, fields once."""
+    """Number of multiplications in a step: free tables once per evaluation of the dynamics, fields once."""
     free, fields = tables[0::4], tables[3::4]
     return count * sum(table.size for table in free) + SCATTERED * sum(table.size for table in fields)
 
@@ -120,7 +120,7 @@ def _plain(runs: np.ndarray) -> list[tuple]:
 
 
 def _by_column(runs: Iterable[tuple], fields: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Columns (C, 3), terms (E, 2) and fields (rows, E), the terms of a column side by side."""
+    """Columns (C, 3), terms (E, 2) and fields (rows, E), with the terms of a column side by side."""
     found = sorted((first + k, place, factor, offset + k) for first, count, offset, place, factor in runs
                    for k in range(count))
     columns, counts = np.unique([column for column, *_ in found], return_counts=True)

@@ -1,4 +1,4 @@
-"""Kalman observers in reduced coordinates: offset-free tracking, noisy and missing measurements."""
+"""Kalman observers in reduced coordinates: offset-free tracking with noisy and missing measurements."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ssmr_torch.control.chart_estimator import ChartEstimator
 from ssmr_torch.control.outlier_gate import InnovationGate
 from ssmr_torch.periods import whole_steps
 
-# A state whose norm exceeds that of the training range by this factor is not believed: the filter starts anew.
+# If the norm of a state exceeds that of the training range by this factor, the filter restarts.
 RANGE_FACTOR = 3.0
 DISTURBANCES = ("none", "output", "input")
 
@@ -21,18 +21,18 @@ class KalmanObserver:
         z⁺ = f(z, u + E d) + w,   d⁺ = d + w_d,   y = w(z) + F d + v.
 
     disturbance: "output", F = I (an offset of every output); "input", F = 0 and E the min(m, p) input directions that
-    move the robot most at rest (a payload, a wrong stiffness); or "none", the plain filter. With either, the filter
-    integrates the error of prediction and leaves no steady one behind [Pannocchia and Rawlings, AIChE J. 2003].
-    extended: linearize anew at every measurement, and carry the covariance along (extended Kalman filter); else the
+    move the robot most at rest (a payload, a wrong stiffness); or "none", the plain filter. With a disturbance, the
+    filter integrates the prediction error, so that no steady error remains [Pannocchia and Rawlings, AIChE J. 2003].
+    extended: True linearizes at every measurement and updates the covariance (extended Kalman filter); False uses the
     stationary gain of the model at rest, from SciPy's Riccati equation.
-    process_noise: standard deviation of w in a step, of the range of the training states. disturbance_noise: of w_d,
-    m for an output, of the input range for an input. measurement_noise: of v, m.
+    process_noise: standard deviation of w in a step, as a share of the range of the training states.
+    disturbance_noise: of w_d, m for an output, a share of the input range for an input. measurement_noise: of v, m.
 
-    model: NumPy tables at the timestep of the measurements. input_range (m,). A value that is missing, not finite, is
-    left out of the update (extended), or the whole measurement is (stationary); `missing` counts measurements that were
-    not whole. An outlier, by the covariance of its innovation, is left out as well and counted in `gated`, see
-    `InnovationGate`. A state that is not finite, or far outside of the training range, would poison all that follow:
-    the filter then starts anew from the chart of the last samples, without a disturbance, and counts it in `restarts`.
+    model: NumPy tables at the timestep of the measurements. input_range (m,). A missing (not finite) value is left out
+    of the update; the stationary filter leaves out the whole measurement. `missing` counts incomplete measurements. An
+    outlier, by the covariance of its innovation, is left out as well and counted in `gated`, see `InnovationGate`. A
+    state that is not finite, or far outside the training range, would spoil all later ones: the filter then restarts
+    from the chart of the last samples, without a disturbance, and counts it in `restarts`.
     Raises ValueError for another disturbance or noise that is not positive, ImportError without SciPy.
     """
 
@@ -44,8 +44,8 @@ class KalmanObserver:
         disturbance_noise = {"none": 1.0, "output": 2e-4, "input": 5e-3}[disturbance] if disturbance_noise is None \
             else disturbance_noise
         if not (process_noise > 0 and disturbance_noise > 0 and measurement_noise > 0):
-            raise ValueError(f"process_noise {process_noise}, disturbance_noise {disturbance_noise} and "
-                             f"measurement_noise {measurement_noise}; all must be positive")
+            raise ValueError(f"process_noise is {process_noise}, disturbance_noise {disturbance_noise} and "
+                             f"measurement_noise {measurement_noise}; expected positive numbers")
         self.model, self.extended, self.disturbance = model, extended, disturbance
         self._chart = ChartEstimator(model, whole_steps("the model's window_timestep", model.window_timestep,
                                                         model.timestep))
@@ -81,7 +81,7 @@ class KalmanObserver:
         return self._range[:, None] * directions[:q].T, np.zeros((p, q))
 
     def _transition(self, A: np.ndarray, B: np.ndarray) -> np.ndarray:
-        """∂(z⁺, d⁺)/∂(z, d)."""
+        """The matrix ∂(z⁺, d⁺)/∂(z, d)."""
         n = len(A)
         G = np.eye(n + self._E.shape[1])
         G[:n, :n], G[:n, n:] = A, B @ self._E
@@ -89,7 +89,7 @@ class KalmanObserver:
 
     def _stationary(self, A, B, C) -> tuple[np.ndarray, np.ndarray]:
         """The gain (n + q, p), and L⁻¹ (p, p) of the innovation's covariance S = L Lᵀ."""
-        from scipy.linalg import solve_discrete_are  # not on a robot that runs without an observer
+        from scipy.linalg import solve_discrete_are  # only here: a robot without this observer needs no SciPy
 
         G, H = self._transition(A, B), np.hstack([C, self._F])
         P = solve_discrete_are(G.T, H.T, self._process, self._measurement)
@@ -101,22 +101,22 @@ class KalmanObserver:
         self.forget()
 
     def forget(self) -> None:
-        """All measurements, but not what was counted."""
+        """Forget all measurements, but keep the counts."""
         self._begun = False
         self._chart.reset()
         self._gate.reset()
 
     @property
     def counts(self) -> Counter[str]:
-        """Measurements that were gated, and fresh starts from the chart."""
+        """Numbers of gated measurements, and of restarts from the chart."""
         return Counter({"gated": self.gated, "observer restarted": self.restarts})
 
     def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
-        """Predict and update as in `Estimator`; where the estimate is not believed, start anew from the chart."""
+        """Predict and update as in `Estimator`; where the estimate is not plausible, restart from the chart."""
         whole = np.isfinite(observation)
         self.missing += not whole.all()
         if not self._begun:
-            # the robot is taken to have rested where it is; missing values as at rest
+            # The robot is assumed to have rested at this place, and missing values to be zero.
             self._chart.measure(np.where(whole, observation, 0.0), last_input)
             self._start_at(self._chart.state()[0])
             self._begun = True
@@ -169,7 +169,7 @@ class KalmanObserver:
         self._P = shrink @ self._P @ shrink.T + K @ self._measurement[np.ix_(whole, whole)] @ K.T
 
     def _passes(self, error: np.ndarray, size: int, S: np.ndarray | None = None) -> bool:
-        """Whether the innovation (size,) is no outlier; S: its covariance, of one that is white the unit matrix."""
+        """Whether the innovation (size,) is no outlier. S: its covariance; None: the identity, for a white one."""
         distance = error @ (error if S is None else _solved(S, error)) / size
         passes = self._gate.passes(float(distance))
         self.gated += not passes and bool(np.isfinite(self._x).all())
@@ -182,7 +182,7 @@ class KalmanObserver:
 
 
 def _solved(S: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """S⁻¹ X; not numbers where S is singular, as after values far out of range: the filter then starts anew."""
+    """S⁻¹ X; NaN where S is singular, as after values far out of range: the filter then restarts."""
     try:
         return np.linalg.solve(S, X)
     except np.linalg.LinAlgError:

@@ -1,4 +1,4 @@
-"""Compiled: whether a quadratic program makes sense, and how far a point is from solving it."""
+"""Compiled checks of a quadratic program: whether it is well posed, and how far a point is from solving it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ SOUND, NOT_FINITE, CROSSED, TOO_LARGE = 0, 1, 2, 3
 
 @compiled
 def soundness(H, g, lower, upper, C, row_lower, row_upper, limit):
-    """NOT_FINITE for a number in the cost or the rows that is not finite, or a bound that is none; CROSSED bounds;
-    TOO_LARGE for an entry of the cost beyond the limit.
+    """NOT_FINITE for a cost, row or bound that is not a usable number; CROSSED for crossed bounds; TOO_LARGE for an
+    entry of the cost beyond the limit.
     """
     total, largest = 0.0, 0.0
     for i in range(len(g)):
@@ -42,7 +42,7 @@ def soundness(H, g, lower, upper, C, row_lower, row_upper, limit):
 
 @compiled
 def drop_absent(multipliers, lower, upper):
-    """Set to zero, in place, what rounding has left at bounds that are infinite."""
+    """Set multipliers of infinite bounds to zero, in place; rounding may have left them different."""
     for i in range(len(multipliers)):
         bound = upper[i] if multipliers[i] > 0.0 else lower[i]
         if np.isinf(bound):
@@ -51,9 +51,9 @@ def drop_absent(multipliers, lower, upper):
 
 @compiled
 def kkt_residuals(H, g, lower, upper, C, row_lower, row_upper, x, box, rows):
-    """Largest violation of a bound, ‖H x + g + w + Cᵀ z‖_∞, xᵀ H x + gᵀ x + Σ bound · multiplier, and 1 + |x| + |w| +
-    |z| in the sum of absolute values. Not a number where anything is not finite. Multipliers of absent bounds are
-    dropped first.
+    """Four numbers: the largest violation of a bound; ‖H x + g + w + Cᵀ z‖_∞; xᵀ H x + gᵀ x + Σ bound · multiplier;
+    and 1 + |x| + |w| + |z| with sums of absolute values. NaN where anything is not finite. Multipliers of absent bounds
+    are set to zero first.
     """
     drop_absent(box, lower, upper)
     drop_absent(rows, row_lower, row_upper)

@@ -1,4 +1,4 @@
-"""What a predictive controller can be told: one object, and one set of defaults, for constructor, YAML and runner."""
+"""The settings of a predictive controller: one object and one set of defaults, for constructor, YAML and runner."""
 
 from __future__ import annotations
 
@@ -16,37 +16,36 @@ class PredictiveControlSettings(Settings):
     """Settings of a `ModelPredictiveController`; `changed(name=value)` gives others.
 
     horizon: N, control steps.   period: s between two plans, a multiple of the timestep; the input is held in between.
-    output_weight: on every tracked output, 1/m²; the default is 100 per mm², the authors'.   terminal_weight: added to
-    it at the horizon's end, 1/m².
-    input_weight: on every input in units of its range, one number or (m,), without unit.   move_weight: the same on its
-    change from one control step to the next.   input_target: (m,), input that costs nothing, to which inputs tend where
-    tracking leaves them free; None: zero.   huber: m, tracking error from which its cost grows linearly, so that what
-    is out of reach is not forced; None: never.
-    posture: (p,) m, to which outputs that are not tracked tend where more inputs than tracked outputs leave them free.
-    posture_weight: (p,) 1/m², how much that weighs; None: nothing.
+    output_weight: of every tracked output, 1/m²; the default is 100 per mm², as the authors have it.
+    terminal_weight: 1/m², added to it at the end of the horizon.
+    input_weight: of every input in units of its range, one number or (m,), without unit.   move_weight: the same for
+    its change from one control step to the next.   input_target: (m,), the input without cost, to which inputs tend
+    where tracking leaves them free; None: zero.   huber: m; the cost of a larger tracking error grows only linearly, so
+    that a reference out of reach is not forced; None: never.
+    posture: (p,) m, to which untracked outputs tend where more inputs than tracked outputs leave them free.
+    posture_weight: (p,) 1/m², its weight; None: zero.
     input_rate: input unit per s, one number or (m,); None: no limit.
-    actuator: the `Actuator` between commands and robot, or a mapping of its settings; the model is then one of acting
-    inputs, and a control step one sample; None: commands act.
-    approach: s within which the reference is reached from where the robot is at first; 0: at once.
+    actuator: the `Actuator` between commands and robot, or a mapping of its settings; the model then takes acting
+    inputs, and a control step is one sample; None: commands act directly.
+    approach: s in which the reference goes from the robot's first position to the task's path; 0: at once.
     safe_input: (m,), input unit; None: the admissible input nearest to zero.
     output_bounds: (2, p) m, soft, lowest and highest of every output; infinite where there is no bound.
     margins: (N,) m, by which obstacles and output bounds are tightened at each stage.   margin_quantile: of the errors
-    on held-out runs that `tightened` makes them of.   hard_constraints: obstacles and bounds are violated only where no
-    input can avoid it, whatever the tracking gains; such a step has the status SOFTENED.
+    on held-out runs, from which `tightened` computes the margins.   hard_constraints: True violates obstacles and
+    bounds only where no input can avoid it, whatever the tracking gains; such a step has the status SOFTENED.
     violation_weight: (1/m, 1/m²) of the exact penalty, see `OutputConstraints`; None: from output_weight.
     iterations: quadratic programs per step; one is the real-time iteration.   first_iterations: the same
-    after a start, a fallback, a gap in time or a change of the reference.   tolerance: they end before that once the
+    after a start, a fallback, a gap in time or a change of the reference.   tolerance: iterations end early when the
     next program promises a decrease of less than this share of the cost.
-    range_factor: 1; a state is not believed when its norm exceeds that of state_scale by this factor.
+    range_factor: 1; a state is rejected when its norm exceeds that of state_scale by this factor.
     observer: (model at timestep, input range) → `Estimator`, such as a partial `KalmanObserver`; None: the chart.
-    measurement_delay: s, a whole number of timesteps, by which measurements are old; the model bridges it.
-    frozen_after: so many measurements, equal to the last bit while the input changed, are a frozen sensor; 0: never.
-    step_budget: share of the period that a step may compute, CPU time; no further program or attempt begins that would
-    not end within it, and the best plan so far, or the fallback, counts. None: no limit.
+    measurement_delay: s, age of the measurements, a whole number of timesteps; the model bridges it.
+    frozen_after: number of exactly equal measurements, while the input changed, that mean a frozen sensor; 0: never.
+    step_budget: share of the period that a step may compute, in CPU time. A program that would not end within it is not
+    started; then the best plan so far, or the fallback, is used. None: no limit.
     qp: proxqp, daqp, qpsolvers:NAME, or package.module:Class, see `solver_named`.
 
-    Raises ValueError for a number that makes no sense, or a count that is not whole; TypeError for a name that is none
-    of these.
+    Raises ValueError for an impossible number, or a count that is not whole; TypeError for an unknown name.
 
     >>> PredictiveControlSettings().changed(horizon=3).horizon
     3
@@ -104,22 +103,22 @@ class PredictiveControlSettings(Settings):
             self._set("move_weight", tuple(non_negative(f"move_weight[{i}]", each)
                                            for i, each in enumerate(self.move_weight)))
         if self.input_weight is None:
-            raise ValueError("input_weight is None; expected positive numbers, without them the optimal input is not "
-                             "unique")
+            raise ValueError("input_weight is None; expected positive numbers, because without them the optimal input "
+                             "is not unique")
         for name in ("safe_input", "input_target", "posture", "posture_weight", "output_bounds", "margins",
                      "violation_weight"):
             self._set(name, _numbers(name, getattr(self, name)))
         if self.violation_weight is not None and (len(self.violation_weight) != 2 or min(self.violation_weight) < 0):
-            raise ValueError(f"violation_weight is {self.violation_weight}; expected two numbers, 1/m and 1/m², none "
+            raise ValueError(f"violation_weight is {self.violation_weight}; expected two numbers in 1/m and 1/m², none "
                              "negative")
-        self._set("observer", self.observer or None)  # observer=none of the configuration is empty
+        self._set("observer", self.observer or None)  # observer=none in the configuration is an empty mapping
         if self.observer is not None and not callable(self.observer):
-            raise ValueError(f"observer is {self.observer!r}; expected what makes one of a model and the input range, "
-                             "such as a partial KalmanObserver, or None")
+            raise ValueError(f"observer is {self.observer!r}; expected a function that makes an observer from a model "
+                             "and the input range, such as a partial KalmanObserver, or None")
 
 
 def _actuator(given) -> Actuator | None:
-    """An actuator as it is, or of a mapping of its settings; None where none was given."""
+    """The actuator as it is, or made from a mapping of its settings; None where none was given."""
     if given is None or isinstance(given, Actuator):
         return given
     if not isinstance(given, Mapping):
@@ -127,18 +126,18 @@ def _actuator(given) -> Actuator | None:
     refuse_unknown("Actuator", given, [field.name for field in fields(Actuator)])
     lacking = [name for name in ("timestep", "input_range") if name not in given]
     if lacking:
-        raise ValueError(f"the actuator has {', '.join(given) or 'no settings'}; expected {' and '.join(lacking)} as "
-                         "well")
+        raise ValueError(f"the actuator has only {', '.join(given) or 'no settings'}; expected "
+                         f"{' and '.join(lacking)} as well")
     return Actuator(**given)
 
 
 def _numbers(name: str, values) -> tuple | None:
-    """Nested tuples of what was given; None where nothing was."""
+    """The given values as nested tuples; None where there are none."""
     if values is None:
         return None
     try:
         array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):  # words, or rows of several lengths
+    except (TypeError, ValueError):  # not numbers, or rows of different lengths
         array = np.array(np.nan)
     if not array.ndim or np.isnan(array).any():
         raise ValueError(f"{name} is {values}; expected a list of numbers, or None")

@@ -1,4 +1,4 @@
-"""From settings, task and bounds to the problem that a predictive controller solves at every step."""
+"""Makes the problem that a predictive controller solves at every step, from settings, task and bounds."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from ssmr_torch.control.constraints import constraints_of
 from ssmr_torch.control.mpc_settings import PredictiveControlSettings
 from ssmr_torch.control.tracking_problem import TrackingProblem
 
-# A violation costs more than tracking errors of this size at every stage would, m: more than any in the workspace.
+# m: a violation costs more than tracking errors of this size at every stage, which is more than any in the workspace.
 PULL = 0.05
-ALIKE = 1e-3   # relative, between timesteps
+ALIKE = 1e-3   # relative: timesteps that differ by less are equal
 
 
 def tracking_problem(settings: PredictiveControlSettings, reference: TrackedReference, bounds: np.ndarray,
                      actuator: Actuator) -> TrackingProblem:
-    """In what the actuator transmits of commands within bounds (2, m)."""
+    """The problem in the transmitted inputs, which the actuator makes of commands within bounds (2, m)."""
     p, columns = reference.output_dim, reference.columns
     tracked = np.zeros(p)
     tracked[columns] = 1.0
@@ -33,7 +33,7 @@ def tracking_problem(settings: PredictiveControlSettings, reference: TrackedRefe
 
 
 def _posture_weight(settings: PredictiveControlSettings, tracked: np.ndarray) -> np.ndarray | None:
-    """(p,), zero for tracked outputs. Raises ValueError for another number of weights than outputs."""
+    """(p,) weights, zero for tracked outputs. Raises ValueError unless there is one weight for each output."""
     if settings.posture_weight is None:
         return None
     weight = np.array(settings.posture_weight, dtype=np.float64)
@@ -43,24 +43,24 @@ def _posture_weight(settings: PredictiveControlSettings, tracked: np.ndarray) ->
 
 
 def actuator_of(settings: PredictiveControlSettings, bounds: np.ndarray, timestep: float) -> Actuator:
-    """That of the settings, or one that does nothing. Raises ValueError where it does not fit the measurements."""
+    """The actuator of the settings, or one without effect. Raises ValueError where it does not fit the measurements."""
     given = settings.actuator
     if given is None:
         return Actuator(timestep, tuple(np.ptp(bounds, axis=0).tolist()))
     if len(given.input_range) != bounds.shape[1] or abs(given.timestep / timestep - 1.0) > ALIKE \
             or settings.period > (1.0 + ALIKE) * timestep:
         raise ValueError(f"the actuator has {len(given.input_range)} inputs and steps of {given.timestep:g} s; "
-                         f"expected {bounds.shape[1]}, and the timestep {timestep:g} s as the period, which is "
-                         f"{settings.period:g} s")
+                         f"expected {bounds.shape[1]} inputs and the timestep {timestep:g} s, which must also be the "
+                         f"period (it is {settings.period:g} s)")
     return given
 
 
 class TrackedReference:
-    """The task's reference in the columns that it tracks, the posture in the others,
-    where it counts from the estimated `disturbance` (p,), m: it is the model that shall stay where its data are.
+    """The task's reference in the tracked columns, and the posture in the others.
 
-    approach: s, within which the distance to where the robot was at first goes to zero, twice continuously
-    differentiable. Raises ValueError for a task that tracks an output which the model has not.
+    The posture is relative to the estimated `disturbance` (p,), m, so that the model stays where its data are.
+    approach: s in which the distance to the robot's first position goes to zero, twice continuously differentiable.
+    Raises ValueError for a task that tracks an output which the model does not have.
     """
 
     def __init__(self, task, output_names, output_dim: int, approach: float, posture=None):
@@ -70,7 +70,8 @@ class TrackedReference:
         self.task, self.columns = task, list(task.columns(output_names))
         self.output_dim, self.approach = output_dim, approach
         if max(self.columns) >= output_dim:
-            raise ValueError(f"the task tracks output {max(self.columns)}; the model has {output_dim} outputs")
+            raise ValueError(f"the task tracks output {max(self.columns)}; the model has {output_dim} outputs, counted "
+                             "from 0")
         self.begin_at(None, 0.0)
 
     def begin_at(self, observation: np.ndarray | None, time: float) -> None:
@@ -91,11 +92,11 @@ class TrackedReference:
 
 
 def names_seen(model, output_names):
-    """The names of the outputs, those of the model where none are given. Raises ValueError for any but these."""
+    """The names of the outputs; by default those of the model. Raises ValueError for other names."""
     own = getattr(model, "output_names", None)
     if output_names is None:
         return own
     if own is not None and tuple(output_names) != tuple(own) or len(output_names) != model.reduced.output_dim:
         raise ValueError(f"output_names are {list(output_names)}; the model has {model.reduced.output_dim} outputs"
-                         f"{'' if own is None else f', {list(own)}'}: name these, in this order")
+                         f"{'' if own is None else f', {list(own)}'}: give these names, in this order")
     return output_names

@@ -1,6 +1,6 @@
-"""Quadratic programs as values, and the solvers that take them.
+"""Quadratic programs and their solutions as values, and the interface of the solvers.
 
-Residuals are computed here from the problem; what a solver says about itself is only a claim.
+Residuals are computed here from the problem. What a solver reports about its own solution is not trusted.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 from ssmr_torch.control import kkt
 from ssmr_torch.status import Status
 
-# A claim of success is refused when a recomputed residual exceeds the tolerance by this factor.
+# A solution is rejected when a recomputed residual exceeds the tolerance by this factor.
 RESIDUAL_FACTOR = 10.0
-# Entries of the cost for which the rounding of a residual alone exceeds what is accepted of it at a tolerance of 1e-6.
+# For larger entries of the cost, rounding alone exceeds the accepted residual at a tolerance of 1e-6.
 LARGEST = RESIDUAL_FACTOR * 1e-6 / np.finfo(np.float64).eps
-# Relative size of what rounding leaves of a residual, however tight the tolerance.
+# Relative size of the rounding error in a residual, for any tolerance.
 ROUNDING = 1e-12
 
 
@@ -26,10 +26,10 @@ ROUNDING = 1e-12
 class QuadraticProgram:
     """min ½ xᵀH x + gᵀx  s.t.  lower ≤ x ≤ upper,  row_lower ≤ C x ≤ row_upper.
 
-    H (d, d) symmetric, g, lower, upper (d,), C (r, d), row_lower, row_upper (r,); infinite bounds are absent
-    ones. Without rows C is None. convex: H is known to be positive definite, and not factored to find out.
+    H (d, d) symmetric, g, lower, upper (d,), C (r, d), row_lower, row_upper (r,); an infinite bound means no bound.
+    Without rows C is None. convex: H is known to be positive definite, so that this is not tested.
     Raises ValueError when shapes disagree. The numbers themselves are judged by `defect`, because a controller must
-    get an answer, not an exception, for what it measured.
+    get an answer, and not an exception, for any measurement.
     """
 
     H: np.ndarray
@@ -44,18 +44,18 @@ class QuadraticProgram:
     def __post_init__(self):
         d = len(self.g)
         if not (self.H.shape == (d, d) and self.g.shape == self.lower.shape == self.upper.shape == (d,)):
-            raise ValueError(f"H {self.H.shape}, g {self.g.shape}, lower {self.lower.shape}, "
-                             f"upper {self.upper.shape} disagree; expected ({d}, {d}) and three times ({d},)")
+            raise ValueError(f"H has shape {self.H.shape}, g {self.g.shape}, lower {self.lower.shape}, "
+                             f"upper {self.upper.shape}; expected ({d}, {d}) and three times ({d},)")
         if self.C is None:
             if self.row_lower is not None or self.row_upper is not None:
-                raise ValueError("bounds of rows are given without the rows C")
+                raise ValueError("bounds of rows are given, but C is None; give the rows C as well")
         elif self.row_lower is None or self.row_upper is None:
             raise ValueError(f"C has {len(self.C)} rows, but row_lower or row_upper is missing; "
-                             "use -inf and inf")
+                             "give both, with -inf and inf where there is no bound")
         elif not (self.C.shape == (self.rows, d)
                   and self.row_lower.shape == self.row_upper.shape == (self.rows,)):
-            raise ValueError(f"C {self.C.shape}, row_lower {self.row_lower.shape}, "
-                             f"row_upper {self.row_upper.shape} disagree; "
+            raise ValueError(f"C has shape {self.C.shape}, row_lower {self.row_lower.shape}, "
+                             f"row_upper {self.row_upper.shape}; "
                              f"expected ({self.rows}, {d}) and twice ({self.rows},)")
 
     @property
@@ -67,10 +67,10 @@ class QuadraticProgram:
         return 0 if self.C is None else len(self.C)
 
     def defect(self) -> Status | None:
-        """Why no solver should be asked; None where all is well.
+        """Why the program should not be given to a solver; None where it is well posed.
 
-        NaN, crossed bounds, H not semidefinite, or a cost so large that no solution can be told from another to a
-        tolerance of 1e-6, as of a state far outside of the model's range: solvers spend all their iterations on it.
+        Defects are NaN, crossed bounds, H not semidefinite, and a cost so large that solutions cannot be told apart to
+        a tolerance of 1e-6, as for a state far outside the model's range. Solvers would spend all iterations on it.
         """
         found = kkt.soundness(*self._parts(), LARGEST)
         if found != kkt.SOUND:
@@ -85,9 +85,9 @@ class QuadraticProgram:
         return None
 
     def failure(self) -> Status:
-        """Why a solver found nothing, by two linear programs: no feasible point, or endless descent.
+        """Why a solver found nothing, by two linear programs: no feasible point, or a cost without lower bound.
 
-        Where SciPy is not installed, as on a robot, that it found nothing is all that is said.
+        Where SciPy is not installed, as on a robot, the status only says that nothing was found.
         """
         try:
             from scipy.optimize import linprog
@@ -107,7 +107,7 @@ class QuadraticProgram:
         return Status.DUAL_INFEASIBLE if endless else Status.ITERATION_LIMIT
 
     def _parts(self) -> tuple[np.ndarray, ...]:
-        """All arrays, with rows of no length where there are none."""
+        """All arrays; the rows have length zero where there are none."""
         if self.C is None:
             return self.H, self.g, self.lower, self.upper, *_no_rows(self.dim)
         return self.H, self.g, self.lower, self.upper, self.C, self.row_lower, self.row_upper
@@ -123,7 +123,7 @@ class QPSolution:
     """x (d,) with multipliers w (d,) of the box and z (r,) of the rows, positive at upper bounds.
 
     primal_residual: largest violation of a bound.     dual_residual: ‖H x + g + w + Cᵀz‖_∞.
-    gap: |xᵀH x + gᵀx + Σ bound · multiplier|, zero at a solution.     All infinite where nothing was found.
+    gap: |xᵀH x + gᵀx + Σ bound · multiplier|, zero at a solution.     All are infinite where nothing was found.
     """
 
     x: np.ndarray
@@ -137,22 +137,22 @@ class QPSolution:
 
     @classmethod
     def none(cls, problem: QuadraticProgram, status: Status) -> QPSolution:
-        """No solution, for this reason."""
+        """The result without a solution, with the reason."""
         nan = np.full(problem.dim, np.nan)
         return cls(nan, nan, np.full(problem.rows, np.nan), status, 0, np.inf, np.inf, np.inf)
 
     @classmethod
     def judged(cls, problem: QuadraticProgram, x: np.ndarray, box: np.ndarray, rows: np.ndarray,
                claim: Status, iterations: int, tolerance: float) -> QPSolution:
-        """The solution with its own residuals; a claim of success that they do not support is refused.
+        """The solution with recomputed residuals. It is a success only if these agree with the solver's claim.
 
-        Multipliers of absent bounds are what rounding left there, and count as none.
+        Multipliers of absent bounds come from rounding and are set to zero.
         """
         box, rows = box.copy(), rows.copy()
         primal, dual, gap, weight = kkt.kkt_residuals(*problem._parts(), x, box, rows)
         if claim.success:
             limit = RESIDUAL_FACTOR * tolerance
-            # the gap is measured per unit of multiplier: the mean distance from the bounds that hold one
+            # The gap per unit of multiplier is the mean distance from the active bounds.
             near = primal <= limit and gap <= limit * weight
             if not (near and dual <= limit + ROUNDING * np.abs(problem.g).max()):
                 claim = Status.RESIDUAL_TOO_LARGE if np.isfinite(x).all() else Status.NOT_FINITE
@@ -160,20 +160,20 @@ class QPSolution:
 
 
 class Workspace(ABC):
-    """A solver whose memory serves programs of dim variables and `rows` general rows, one after the other.
+    """A solver with memory for programs of dim variables and `rows` general rows, solved one after the other.
 
     tolerance: absolute.   max_iterations: of one program.   Raises ValueError for numbers that are not positive.
     """
 
     def __init__(self, dim: int, rows: int, tolerance: float, max_iterations: int):
         if dim < 1 or rows < 0:
-            raise ValueError(f"a problem of {dim} variables and {rows} rows; expected at least 1 and 0")
+            raise ValueError(f"the problem has {dim} variables and {rows} rows; expected 1 or more and 0 or more")
         if not tolerance > 0 or max_iterations < 1:
-            raise ValueError(f"tolerance {tolerance} and max_iterations {max_iterations} must be positive")
+            raise ValueError(f"tolerance is {tolerance} and max_iterations {max_iterations}; expected positive numbers")
         self.dim, self.rows = int(dim), int(rows)
         self.tolerance, self.max_iterations = float(tolerance), int(max_iterations)
 
-    # CPU time of this thread, as `time.thread_time` tells it, s, after which no further attempt shall begin
+    # CPU time of this thread in s, as `time.thread_time` gives it, after which no new attempt may begin.
     deadline = np.inf
 
     @abstractmethod
@@ -181,17 +181,17 @@ class Workspace(ABC):
         """Forget the workspace: the same problems then give the same solutions again, to the last bit."""
 
     def solve(self, problem: QuadraticProgram) -> QPSolution:
-        """Never raises for the numbers in the problem; ValueError for a problem of another size."""
+        """Solve the program. Any numbers in it are accepted; ValueError for a problem of another size."""
         if (problem.dim, problem.rows) != (self.dim, self.rows):
-            raise ValueError(f"a problem of {problem.dim} variables and {problem.rows} rows; "
-                             f"this workspace holds {self.dim} and {self.rows}")
+            raise ValueError(f"the problem has {problem.dim} variables and {problem.rows} rows; "
+                             f"expected {self.dim} and {self.rows}, as in this workspace")
         defect = problem.defect()
         return self._solve(problem) if defect is None else QPSolution.none(problem, defect)
 
     def explained(self, problem: QuadraticProgram) -> Status:
-        """Why nothing was found; within a deadline there is no time to ask, and it is the iteration limit."""
+        """Why nothing was found. Under a deadline there is no time to find out, so it is ITERATION_LIMIT."""
         return problem.failure() if self.deadline == np.inf else Status.ITERATION_LIMIT
 
     @abstractmethod
     def _solve(self, problem: QuadraticProgram) -> QPSolution:
-        """Of a problem without a defect."""
+        """Solve a problem without a defect."""

@@ -1,4 +1,4 @@
-"""Sequential convex programming: linearize, condense, solve, until the cost stops falling."""
+"""Sequential convex programming: linearize, condense, solve, and repeat until the cost no longer falls."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from ssmr_torch.status import Status
 
 ARMIJO = 1e-4
 HALVINGS = 12
-# Slack, of SLACK_SCALE, that is none.
+# A smaller slack, in units of SLACK_SCALE, counts as none.
 KEPT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What the controller intends over the horizon; `shifted` is the next warm start.
+    """The plan of the controller over the horizon; `shifted` is the next warm start.
 
     states (N+1, n), inputs (N, m), outputs y_1 … y_N (N, p), reference (N, p); time of the first input, s.
-    cost: that of the model's own rollout under `inputs`, never of its linearization.
-    status: how the optimization ended. qp_status: how its last quadratic program ended; where that is a
-    success, the inputs are usable although the sequence may not have converged.
-    iterations: quadratic programs solved. primal_residual, dual_residual, gap: of the last one.
-    solve_time: linearization, condensing and solution, s.
-    violation: the largest of the constraints' on the way to y_N, margins included, m; NaN without any.
+    cost: of the model's own rollout under `inputs`, not of its linearization.
+    status: how the optimization ended. qp_status: how its last quadratic program ended; if that is a success, the
+    inputs can be used, although the sequence may not have converged.
+    iterations: number of quadratic programs. primal_residual, dual_residual, gap: of the last one.
+    solve_time: s, of linearization, condensing and solution.
+    violation: m, the largest one of the constraints on the way to y_N, with margins; NaN without constraints.
     """
 
     time: float
@@ -49,7 +49,7 @@ class Plan:
     violation: float = np.nan
 
     def shifted(self, steps: int = 1) -> np.ndarray:
-        """The inputs from `steps` control steps later on, the last one repeated, (N, m)."""
+        """The inputs from `steps` control steps later on, (N, m); the last one is repeated."""
         shifted, kept = np.empty_like(self.inputs), max(len(self.inputs) - steps, 1)
         shifted[:kept], shifted[kept:] = self.inputs[-kept:], self.inputs[-1]
         return shifted
@@ -61,14 +61,15 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
               deadline: float = np.inf) -> Plan:
     """Gauss-Newton sequence of quadratic programs from the inputs `guess` (N, m) and the measured state (n,).
 
-    time: of the first input, s. reference: (N, p) m, default the problem's own from there on. last_input:
-    (m,), the input before the first, from which the rate limit counts; None leaves the first input free.
-    max_iterations = 1 is the real-time iteration [Diehl et al. 2005]: one full step, SOLVED when its program
-    is. More iterations search along each step until the cost of the rollout falls enough [Armijo 1966]; they
-    have converged when the decrease that the program promises is below `tolerance` times the cost.
+    time: of the first input, s. reference: (N, p) m; default: the problem's own from this time on. last_input:
+    (m,), the input before the first, from which the rate limit counts; None: the first input is free.
+    max_iterations = 1 is the real-time iteration [Diehl et al. 2005]: one full step; it is SOLVED when its program
+    is. More iterations search along each step until the cost of the rollout falls enough [Armijo 1966]. They have
+    converged when the decrease that the program promises is below `tolerance` times the cost.
     prepared: `horizon.condense` of this guess at a predicted state; the first program then needs no linearization.
-    deadline: CPU time, s, as of `time.thread_time`; no program begins that would not end before it (ITERATION_LIMIT).
-    Pure but for the solver's workspace. Never raises for lack of convergence: the status says how it ended.
+    deadline: s of CPU time, as `time.thread_time` gives it; a program that would end later is not started
+    (ITERATION_LIMIT). The only side effect is in the solver's workspace. Never raises for lack of convergence: the
+    status shows it.
     """
     start = perf_counter()
     reference = problem.reference_ahead(time) if reference is None else reference
@@ -80,7 +81,7 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
         else horizon.moved(prepared, state, inputs, reference)
     states, outputs = point.states, point.outputs
     cost = np.nan
-    if max_iterations > 1:  # a real-time iteration compares with nothing, and its program shows what is not finite
+    if max_iterations > 1:  # a real-time iteration compares no costs, and its program shows values that are not finite
         cost = problem.cost(outputs, inputs, reference, ahead, last_input)
         if not np.isfinite(cost):
             status = Status.NOT_FINITE
@@ -104,26 +105,26 @@ def solve_scp(problem: TrackingProblem, horizon: Horizon, state: np.ndarray, gue
             status = Status.NOT_FINITE if max_iterations == 1 else Status.NOT_DESCENDING
             break
         inputs, states, outputs, cost = found
-    if len(states) <= len(inputs):  # a linear model's condensed problem holds the first state alone
+    if len(states) <= len(inputs):  # the condensed problem of a linear model holds only the first state
         states, outputs = horizon.rollout(state, inputs)
     status = _as_told(status, max_iterations, solution, kept)
     return _plan(time, states, inputs, outputs, reference, cost, status, solution, iterations, ahead, start)
 
 
 def _proposed(problem: TrackingProblem, solution: QPSolution, inputs: np.ndarray, last_input) -> np.ndarray:
-    """Inputs (N, m) of a program's solution."""
+    """Inputs (N, m) from a program's solution."""
     return problem.admissible(solution.x[:inputs.size].reshape(inputs.shape) * problem.input_scale, last_input)
 
 
 def _as_told(status: Status, max_iterations: int, solution: QPSolution | None, kept: bool) -> Status:
-    """A real-time iteration is solved by its one program; constraints that were hard and are not kept are softened."""
+    """The status: a real-time iteration is SOLVED by its one program; violated hard constraints mean SOFTENED."""
     if not kept and solution.status.success:
         return Status.SOFTENED
     return Status.SOLVED if max_iterations == 1 and status is Status.ITERATION_LIMIT else status
 
 
 class _Budget:
-    """Asked before every program, whether it would end before the deadline, if it took as long as the longest yet."""
+    """Tells before every program whether it can end before the deadline, if it takes as long as the longest so far."""
 
     def __init__(self, deadline: float):
         self.deadline, self._longest, self._before = deadline, 0.0, np.inf
@@ -164,10 +165,11 @@ def _quadratic_program(problem: TrackingProblem, point: Condensed, inputs: np.nd
 
 
 def _solved(problem: TrackingProblem, program: QuadraticProgram, solver) -> tuple[QPSolution, bool]:
-    """The program's solution, and whether it keeps the constraints where they are hard.
+    """The program's solution, and whether it keeps hard constraints.
 
     A penalty that exceeds the multipliers of the program without slack has the same solution. So a hard program is
-    solved softly, and again with heavier penalties where it then needs slack: what no input can keep has an answer too.
+    first solved with its normal penalties, and again with heavier ones if it needs slack. Constraints that no input can
+    keep so have an answer, too.
     """
     solution, soft, constraints = solver.solve(program), problem.soft_rows, problem.constraints
     if constraints is None or not constraints.hard:
@@ -185,7 +187,7 @@ def _solved(problem: TrackingProblem, program: QuadraticProgram, solver) -> tupl
 
 
 def _promised(problem, point: Condensed, inputs, proposed, outputs, ahead, x) -> float:
-    """Directional derivative of J along the step, of the penalty its decrease in the program: an upper bound."""
+    """Directional derivative of J along the step; for the penalty its decrease in the program, an upper bound."""
     slope = point.gradient @ ((proposed - inputs) / problem.input_scale).ravel() * problem.cost_scale
     if problem.constraints is None:
         return slope
@@ -198,7 +200,7 @@ def _promised(problem, point: Condensed, inputs, proposed, outputs, ahead, x) ->
 def _line_search(problem, horizon, state, reference, inputs, proposed, cost, slope, ahead, last_input, halvings):
     """(inputs, states, outputs, cost) of the first step 1, ½, ¼, … that lowers the cost enough, or None.
 
-    Without halvings the full step is taken wherever its rollout is finite.
+    Without halvings the full step is taken if its rollout is finite.
     """
     for halving in range(halvings + 1):
         length = 0.5**halving

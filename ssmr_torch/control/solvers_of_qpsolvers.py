@@ -1,4 +1,4 @@
-"""All solvers of the qpsolvers package behind the seam of `qp.py`; the only file that knows it."""
+"""All solvers of the qpsolvers package. No other file imports it."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from ssmr_torch.status import Status
 
 
 class QPSolvers:
-    """Any solver of the qpsolvers package by its name: for cross-checks, and where ProxQP is not wanted.
+    """Any solver of the qpsolvers package by its name, for cross-checks, and in place of ProxQP.
 
-    It is set up anew for every problem, which costs more than the solution of a small one.
+    It is set up again for every problem, which costs more than the solution of a small one.
     Raises ValueError when that solver is not installed.
     """
 
     def __init__(self, name: str, *, tolerance: float = 1e-6, **options):
         if name not in qpsolvers.available_solvers:
-            raise ValueError(f"solver {name!r} is not installed; "
-                             f"available: {sorted(qpsolvers.available_solvers)}")
+            raise ValueError(f"the solver {name!r} is not installed; "
+                             f"expected one of {sorted(qpsolvers.available_solvers)}")
         self.name, self.tolerance, self.options = name, float(tolerance), options
 
     # as in `Workspace`
     deadline = np.inf
 
     def reset(self) -> None:
-        """Nothing is kept between problems."""
+        """Do nothing, because nothing is kept between problems."""
 
     def solve(self, problem: QuadraticProgram) -> QPSolution:
-        """Never raises for the numbers in the problem."""
+        """Solve the program. Any numbers in it are accepted."""
         defect = problem.defect()
         if defect is not None:
             return QPSolution.none(problem, defect)

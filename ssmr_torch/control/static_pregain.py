@@ -1,4 +1,4 @@
-"""Koopman static pregain: feedforward from set points, feedback by the linear-quadratic regulator."""
+"""Static pregain: a feedforward input from set points, and feedback by a linear-quadratic regulator."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from ssmr_torch.periods import whole_steps
 from ssmr_torch.settings import positive_or_none
 from ssmr_torch.status import Status
 
-# of the states that no output shows; it keeps the Riccati equation solvable
+# Weight of states that no output shows. It keeps the Riccati equation solvable.
 STATE_WEIGHT = 1e-6
 
 
 class StaticPregainController:
     """u = G [1, ŷ] − K (z − ẑ), clipped to the bounds (paper, "Koopman static pregain"; Haggerty et al. 2023).
 
-    G: the model's pregain, u = G [1, y] at rest; cables pull only, so its constant is what they pull in common. ŷ:
-    reference now, ẑ: chart of the reference's own window. Outputs that the task does not prescribe take in both the
-    values that set points with the prescribed ones have on average; measured ones would feed G back into itself.
-    K: gain of the linear-quadratic regulator for Σ ‖y‖²_Q + ‖u / range‖²_R of the model at the control period: the
-    stationary one, or with `horizon` N the first of the finite-horizon recursion over N steps; a constant among the
-    states, which is the same in z and ẑ, is left out of it.
+    G: the model's pregain, u = G [1, y] at rest. With cables that only pull, its constant is their common tension. ŷ:
+    the reference now. ẑ: the chart of the window of the reference. Outputs that the task does not prescribe have, in
+    both, the mean value of set points with the prescribed outputs; with measured values, G would feed back on itself.
+    K: gain of the linear-quadratic regulator for Σ ‖y‖²_Q + ‖u / range‖²_R of the model at the control period. It is
+    the stationary gain or, with `horizon` N, the first gain of the recursion over N steps. A constant state, which is
+    the same in z and ẑ, is left out of it.
 
     model: a `PregainModel` without bilinear terms and of degree one, such as that of a `StaticPregainKoopman`. task,
     input_bounds, timestep, period, output_weight (1/m²), input_weight (without unit, of inputs in units of the range of
     these bounds), safe_input: as in `ModelPredictiveController`.
-    A measurement that is not finite, or that leads to an input that is not, gives safe_input; `fallbacks` counts it.
-    Time and measurements are treated and counted, in `counts`, as in `ModelPredictiveController`; `input_bounds` can be
-    changed between steps.
-    Raises ValueError for another model, a period that is no multiple of the timestep, crossed bounds, or a weight that
-    is not positive.
+    A measurement that is not finite, or that leads to an input that is not finite, gives safe_input; `fallbacks` counts
+    it. Time and measurements are treated as in `ModelPredictiveController`, and counted in `counts`. `input_bounds` can
+    be changed between steps.
+    Raises ValueError for another model, a period that is not a multiple of the timestep, crossed bounds, or a weight
+    that is not positive.
     """
 
     @configurable(given=("timestep", "output_names"))
@@ -74,7 +74,7 @@ class StaticPregainController:
         self.reset()
 
     def _input_cost(self, weight: float | Sequence[float]) -> np.ndarray:
-        """R of inputs in their own unit, (m, m)."""
+        """R for inputs in their own unit, (m, m)."""
         lower, upper = self.bounds
         if not (np.isfinite(self.bounds).all() and (lower < upper).all()):
             raise ValueError(f"input_bounds are {self.bounds.tolist()}; expected finite numbers, lowest below highest")
@@ -82,12 +82,12 @@ class StaticPregainController:
 
     @property
     def counts(self) -> Counter[str]:
-        """How often what happened to time and measurements since the last reset, by name."""
+        """Counts of events in time and measurements since the last reset, by name."""
         return +self._sampling.counts
 
     @property
     def input_bounds(self) -> np.ndarray:
-        """(2, m), of the commands from now on; as in `ModelPredictiveController`."""
+        """(2, m), for all later commands; as in `ModelPredictiveController`."""
         return self.bounds.copy()
 
     @input_bounds.setter
@@ -103,7 +103,7 @@ class StaticPregainController:
         self.fallbacks: Counter[Status] = Counter()
 
     def __call__(self, time: float, observation: np.ndarray) -> Command:
-        """time in s; observation (p,), m, whatever its values. Raises ValueError for one of another size."""
+        """The command at time s for any observation (p,), m. Raises ValueError for an observation of another size."""
         sample = self._sampling.take(time, observation)
         if not sample.new:
             self.fallbacks[Status.WRONG_TIME] += 1
@@ -118,7 +118,7 @@ class StaticPregainController:
         return command
 
     def completed(self, reference: np.ndarray) -> np.ndarray:
-        """All outputs (..., p) that go with the prescribed ones (..., t)."""
+        """All outputs (..., p) that belong to the prescribed ones (..., t)."""
         return np.concatenate([np.ones_like(reference[..., :1]), reference], axis=-1) @ self.completion
 
     def _decide(self, time: float) -> Command:
@@ -141,8 +141,8 @@ class StaticPregainController:
 
 
 def completion(set_points: np.ndarray, columns: list[int]) -> np.ndarray:
-    """(1 + t, p): [1, the t prescribed outputs] @ completion = all outputs, the others by linear regression over set
-    points of which `set_points` (1 + p, 1 + p) is the factor of [1, y].
+    """(1 + t, p): [1, the t prescribed outputs] @ completion = all outputs. The others follow by linear regression over
+    the set points; `set_points` (1 + p, 1 + p) is the factor of their [1, y].
     """
     given = [0, *(1 + column for column in columns)]
     table = np.linalg.lstsq(set_points[:, given], set_points[:, 1:], rcond=None)[0]
@@ -152,13 +152,13 @@ def completion(set_points: np.ndarray, columns: list[int]) -> np.ndarray:
 
 def regulator_gain(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray,
                    horizon: int | None = None) -> np.ndarray:
-    """K (m, n) of u = −K z, least Σ zᵀ Q z + uᵀ R u for z⁺ = A z + B u; over `horizon` steps, or without end.
+    """K (m, n) of u = −K z with the least Σ zᵀ Q z + uᵀ R u for z⁺ = A z + B u, over `horizon` steps or without end.
 
-    Q gains a small multiple of the identity, so that states which no output shows do not make it singular.
+    A small multiple of the identity is added to Q, so that states which no output shows do not make it singular.
     Raises ValueError for a horizon below 1.
     """
     if horizon is not None and horizon < 1:
-        raise ValueError(f"horizon is {horizon}; expected 1 or more steps, or None for the stationary gain")
+        raise ValueError(f"horizon is {horizon}; expected 1 step or more, or None for the stationary gain")
     Q = Q + STATE_WEIGHT * max(np.abs(Q).max(), 1.0) * np.eye(len(A))
     if horizon is None:
         P = solve_discrete_are(A, B, Q, R)

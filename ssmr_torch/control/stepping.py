@@ -1,4 +1,4 @@
-"""One step of a model and what is seen after it, as fast as the model allows."""
+"""One step of a model and the outputs after it, by the fastest way that the model has."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ssmr_torch.lazy import found
 
 
 class Stepper:
-    """(z (n,), u (m,)) → z⁺ and w(z⁺) of a model in NumPy, by its compiled kernel where it has one."""
+    """(z (n,), u (m,)) → z⁺ and w(z⁺), for a model in NumPy; with its compiled kernel where it has one."""
 
     def __init__(self, model):
         self.model = model

@@ -15,33 +15,33 @@ from ssmr_torch.control.input_bounds import changed_bounds
 from ssmr_torch.control.mpc_settings import PredictiveControlSettings
 from ssmr_torch.settings import positive
 
-# The solver sees violations in this unit, m.
+# Unit of violations in the solver, m.
 SLACK_SCALE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class TrackingProblem:
-    """Paper, Eq. 12 with the sums that the choice of u can influence:
+    """Paper, Eq. 12, with those sums that depend on u:
 
         min  Σ_{k=1..N} ρ(‖y_k − ŷ_k‖²_Q) + ‖y_N − ŷ_N‖²_{Q_f} + Σ_{k=0..N−1} ‖v_k − v̄‖²_R + ‖v_k − v_{k−1}‖²_S
         s.t. lower ≤ u_k ≤ upper,   |u_k − u_{k−1}| ≤ rate · period   with u_{−1} the input applied last,
 
-    where v = u / range is the input in units of its range, so that no weight has the unit of an input. Where there are
-    `constraints`, their penalty of the path to y_N is added to the cost. ρ is the identity, or Huber's function where
-    `huber` is given: from an error of that size on the cost grows linearly, and what is out of reach is not forced; Q
-    is then a multiple of the identity in what is tracked, and Q_f in the same, within ρ as well.
+    where v = u / range is the input in units of its range, so that no weight has the unit of an input. With
+    `constraints`, their penalty for the path to y_N is added to the cost. ρ is the identity or, with `huber`, Huber's
+    function: beyond an error of this size the cost grows only linearly, so that a reference out of reach is not forced.
+    Q is then a multiple of the identity for the tracked outputs, and so is Q_f, which is inside ρ as well.
 
     reference: time (K,) s → ŷ (K, p) m.   input_bounds: (2, m), lowest and highest input.
     output_weight, terminal_weight: diagonals of Q and Q_f, (p,) or one number, 1/m².
     input_weight, move_weight: diagonals of R and S, (m,) or one number, without unit.   huber: m, or None.
     input_rate: (m,) or one number, input unit per s, or None.   input_range: (m,), by default that of the bounds.
     posture_weight: (p,), 1/m², added to Q for outputs that are not tracked, from their own reference; None: zero.
-    input_target: (m,), range · v̄, which inputs tend to where tracking leaves them free; None: zero.
+    input_target: (m,), range · v̄, to which inputs tend where tracking leaves them free; None: zero.
     constraints: `OutputConstraints` or None.
     Raises ValueError for sizes that disagree, crossed bounds, and weights without a unique minimum.
 
-    The solver sees v and J / cost_scale. The weights of v are then at least the identity, so that a dual residual ε
-    leaves an error of at most ε in v.
+    The solver gets v and J / cost_scale. The weights of v are then at least the identity, so that a dual residual ε
+    means an error of at most ε in v.
     """
 
     reference: Callable[[np.ndarray], np.ndarray]
@@ -90,7 +90,7 @@ class TrackingProblem:
             self._check_huber()
         if not (self.input_weight > 0).all():
             raise ValueError(f"input_weight is {self.input_weight.tolist()}; expected positive numbers, "
-                             "without them the optimal input is not unique")
+                             "because without them the optimal input is not unique")
         if self.input_rate is not None:
             self._set("input_rate", _diagonal("input_rate", self.input_rate, inputs))
             if not (self.input_rate > 0).all():
@@ -103,21 +103,21 @@ class TrackingProblem:
         for name in ("output_weight", "terminal_weight"):
             weight = getattr(self, name)
             if weight[~tracked].any() or len(set(weight[tracked])) > 1:
-                raise ValueError(f"{name} is {weight.tolist()}; expected the same number for everything that "
-                                 "output_weight tracks, and zero for the rest, with a huber of "
-                                 f"{self.huber} m: it is one distance from the reference")
+                raise ValueError(f"{name} is {weight.tolist()}; with a huber of {self.huber} m, expected the same "
+                                 "number for all outputs that output_weight tracks, and zero for the others, because "
+                                 "huber is one distance from the reference")
 
     def _set(self, name: str, array: np.ndarray) -> None:
         array.setflags(write=False)
         object.__setattr__(self, name, array)
 
     def __getstate__(self) -> dict:
-        """Fields and units; all else is derived from them, and like them read-only."""
+        """Fields and units; everything else is derived from them, and is read-only, too."""
         kept = {*(field.name for field in fields(self)), "input_scale", "cost_scale"}
         return {name: value for name, value in self.__dict__.items() if name in kept}
 
     def __setstate__(self, state: dict) -> None:
-        # a copy's arrays could be written to, for which compiled functions would be made anew in its first step
+        # Arrays of a copy are writable, and numba would compile its functions again for them; so make them read-only.
         self.__dict__.update(state)
         for field in fields(self):
             if isinstance(state.get(field.name), np.ndarray):
@@ -133,7 +133,7 @@ class TrackingProblem:
 
     @cached_property
     def stage_weight(self) -> np.ndarray:
-        """(N, p) weights of y_1 … y_N, the last with the terminal weight added."""
+        """(N, p) weights of y_1 … y_N; the last ones contain the terminal weight."""
         weight = np.tile(self.output_weight, (self.horizon, 1))
         weight[-1] += self.terminal_weight
         if self.posture_weight is not None:
@@ -147,7 +147,7 @@ class TrackingProblem:
 
     @cached_property
     def cost_scale(self) -> float:
-        """Smallest weight of v: the solver sees J / cost_scale."""
+        """Smallest weight of v; the solver gets J / cost_scale."""
         slowest = 4.0 * np.sin(0.5 * np.pi / (2 * self.horizon + 1))**2  # of all changes over the horizon
         return float((self.input_weight + slowest * self.move_weight).min())
 
@@ -163,7 +163,7 @@ class TrackingProblem:
 
     @cached_property
     def rate_rows(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """(C, limit) with |C v| ≤ limit for the changes within the horizon; None where there are none."""
+        """(C, limit) with |C v| ≤ limit for the changes within the horizon; None without a rate limit."""
         if self.input_step is None or self.horizon == 1:
             return None
         size = (self.horizon - 1) * self.input_dim
@@ -172,27 +172,27 @@ class TrackingProblem:
 
     @cached_property
     def _scaled_box(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same two read-only arrays every time: a solver that knows them has less to do."""
+        """The scaled bounds; always the same two read-only arrays, which saves work in the solver."""
         box = tuple(np.tile(self.input_bounds / self.input_scale, self.horizon))
         for bound in box:
             bound.setflags(write=False)
         return box
 
     def bounded(self, bounds) -> TrackingProblem:
-        """The same problem in the same units under other bounds (2, m); equal ones are those of a dead actuator.
+        """The same problem in the same units under other bounds (2, m). Equal bounds are those of a dead actuator.
 
         Raises ValueError, with both numbers, for bounds that are not finite or crossed, and for another shape.
         """
         bounds = changed_bounds(bounds, self.input_bounds.shape)
-        _ = self.input_scale, self.cost_scale  # the units of the first bounds stay
+        _ = self.input_scale, self.cost_scale  # the units of the first bounds are kept
         changed = copy.copy(self)
         changed._set("input_bounds", bounds)
         changed.__dict__.pop("_scaled_box", None)
         return changed
 
     def scaled_bounds(self, last_input: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of v, each (N m,); those of v_0 also limit the change from `last_input` (m,), which counts from the
-        bounds where these have changed since.
+        """Bounds of v, each (N m,). Those of v_0 also limit the change from `last_input` (m,); if the bounds have
+        changed, the change is counted from the nearest admissible input.
         """
         lower, upper = self._scaled_box
         if self.input_step is not None and last_input is not None:
@@ -203,7 +203,7 @@ class TrackingProblem:
         return lower, upper
 
     def admissible(self, inputs: np.ndarray, last_input: np.ndarray | None = None) -> np.ndarray:
-        """The sequence (K, m) moved into the bounds, and each input within reach of the one before."""
+        """The sequence (K, m) moved into the bounds, and each input within the rate limit of the one before."""
         inputs = clipped(inputs, self.input_bounds)
         if self.input_step is not None:
             for k in range(len(inputs)):
@@ -220,15 +220,15 @@ class TrackingProblem:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Variables, inputs and slacks, and general rows of the quadratic program."""
+        """Numbers of variables (inputs and slacks) and of general rows of the quadratic program."""
         rate = 0 if self.rate_rows is None else len(self.rate_rows[1])
         return self.horizon * self.input_dim + self.soft_rows, rate + self.soft_rows
 
     @cached_property
     def continuation(self) -> tuple[np.ndarray, np.ndarray]:
-        """A control step later: the variables and rows of the last program that those of the next one continue.
+        """For a warm start: for each variable and row of this program, the one of the last program that it continues.
 
-        Each continues its like one stage on, and those of the last stage themselves.
+        One control step later, each continues the same one of the next stage; the last stage continues itself.
         """
         def later(count: int, per_stage: int) -> np.ndarray:
             return np.arange(count) + np.where(np.arange(count) + per_stage < count, per_stage, 0)
@@ -239,7 +239,7 @@ class TrackingProblem:
                 np.concatenate([later(rate, self.input_dim), rate + slacks]))
 
     def times_ahead(self, time: float) -> np.ndarray:
-        """Times of y_1 … y_N, (N,) s, seen from `time` in s."""
+        """Times of y_1 … y_N, (N,) s, where `time` in s is now."""
         return time + self._steps_ahead
 
     @cached_property
@@ -247,7 +247,7 @@ class TrackingProblem:
         return self.period * np.arange(1, self.horizon + 1)
 
     def reference_ahead(self, time: float) -> np.ndarray:
-        """ŷ_1 … ŷ_N, (N, p), seen from `time` in s."""
+        """ŷ_1 … ŷ_N, (N, p), where `time` in s is now."""
         reference = np.asarray(self.reference(self.times_ahead(time)), dtype=np.float64)
         if reference.shape != self.stage_weight.shape:
             raise ValueError(f"the reference has shape {reference.shape}; "
@@ -257,10 +257,10 @@ class TrackingProblem:
 
     def cost(self, outputs: np.ndarray, inputs: np.ndarray, reference: np.ndarray,
              ahead: ConstraintsAhead | None = None, last_input: np.ndarray | None = None) -> float:
-        """J of y_1 … y_N (N, p) and u_0 … u_{N−1} (N, m); not a finite number when the outputs are not.
+        """J of y_1 … y_N (N, p) and u_0 … u_{N−1} (N, m); not finite when the outputs are not finite.
 
-        ahead: the constraints from the present time and place on; where there are constraints, it is needed. last_input
-        (m,): u_{−1}; None: the first input may be any.
+        ahead: the constraints from the present time and place on; needed where there are constraints. last_input
+        (m,): u_{−1}; None: the first input is free.
         """
         weight = self.stage_weight if self.huber is None else self.huber_weight(outputs, reference, cost=True)
         from_target = inputs if self.input_target is None else inputs - self.input_target
@@ -272,8 +272,8 @@ class TrackingProblem:
         return cost if self.constraints is None else cost + ahead.penalty(outputs)
 
     def huber_weight(self, outputs: np.ndarray, reference: np.ndarray, *, cost: bool = False) -> np.ndarray:
-        """(N, p): `stage_weight` times ρ'(‖e‖²) at the tracked errors e of outputs (N, p), m, with which the gradient
-        and the Gauss-Newton matrix are those of Huber's function; cost: times ρ(‖e‖²) / ‖e‖², with which the sum is.
+        """(N, p), for tracked errors e of outputs (N, p), m: `stage_weight` times ρ'(‖e‖²), which makes gradient and
+        Gauss-Newton matrix those of Huber's function; with cost=True times ρ(‖e‖²) / ‖e‖², which makes the sum so.
         """
         tracked = np.broadcast_to(self.output_weight > 0, self.stage_weight.shape)
         size = np.sqrt(np.square(np.where(tracked, outputs - reference, 0.0)).sum(1))

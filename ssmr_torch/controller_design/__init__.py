@@ -1,1 +1,1 @@
-"""A controller designed from recordings alone: actuator, model, noises, observer and weights."""
+"""Designs a controller from recordings alone: actuator, model, noises, observer and weights."""

@@ -1,4 +1,4 @@
-"""From a design to the settings of the controller that runs it."""
+"""Turns the result of a design into the settings of the controller that runs it."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from ssmr_torch.controller_design.loops import Weights
 from ssmr_torch.controller_design.noises import Likelihood, Observer
 from ssmr_torch.controller_design.recordings import Recordings
 
-HUBER = 5e-3         # of the reach: tracking error from which its cost grows linearly
-# Weight of all outputs that are not tracked, one standard deviation from their mean in the recordings: as much as a
-# tracking error of three tolerances. Without it such outputs drift to where no data are.
+HUBER = 5e-3         # of the reach: the cost of a larger tracking error grows only linearly
+# Weight of all outputs that are not tracked: one standard deviation from their mean in the recordings costs as much as
+# a tracking error of three tolerances. Without it such outputs drift to where there are no data.
 POSTURE = 10.0
-# One program a step is enough while all is as recorded. Where inputs saturate on a robot that is not, a search along
-# the step kept loops that a full step lost.
+# One program per step is enough while the robot is as recorded. When it is not, and inputs saturate, a line search
+# along the step kept loops stable that lost the reference with full steps.
 ITERATIONS, CONVERGED = 4, 1e-4
-LOST = 0.02          # of the reach: no good prediction misses by more
-LIMIT = 1.5          # of the reach: the largest disturbance of an output that is believed
-APPROACH = 2.0       # s, from where the robot is to the reference
+LOST = 0.02          # of the reach: a good prediction never has a larger error
+LIMIT = 1.5          # of the reach: the largest disturbance of an output that the observer accepts
+APPROACH = 2.0       # s, from the robot's first position to the reference
 
 
 def settings_of(weights: Weights, observer: Observer, actuator: Actuator, acted: Recordings,
                 likelihood: Likelihood) -> PredictiveControlSettings:
-    """Settings in SI of weights and observer in units of reach and input range."""
+    """Settings in SI units, from weights and an observer in units of the reach and of the input range."""
     n, reach = likelihood.model.state_dim, acted.reach
     gain = likelihood.whole_gain(observer)
     gain[:n] /= reach

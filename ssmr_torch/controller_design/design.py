@@ -1,4 +1,4 @@
-"""From recordings to a controller: `design`."""
+"""The function `design`: from recordings to a controller."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 if TYPE_CHECKING:
     from ssmr_torch.tasks.references import Task
 
-MARGIN_QUANTILE = 0.95   # of the held-out errors, by which constraints are tightened
-DISBELIEF = 1.2      # times the error without an actuator: one with which the best model misses by more is not believed
-LOOPS = 300          # steps of the bar: designs whose margins are looked at, and loops against the twin
+MARGIN_QUANTILE = 0.95   # quantile of the held-out errors by which constraints are tightened
+DISBELIEF = 1.2      # an actuator is rejected if the best model's error with it is more than this times that without it
+LOOPS = 300          # length of the progress bar: designs with computed margins, and loops against the twin
 
 
 @dataclass(frozen=True, eq=False)
 class Designed:
-    """controller: ready to run; report: what was found, and why, see `DesignReport`. Unpacks into the two."""
+    """controller: ready to run.   report: the findings and their reasons, see `DesignReport`. Unpacks into the two."""
 
     controller: DesignedController
     report: DesignReport
@@ -57,32 +57,33 @@ class Designed:
         return iter((self.controller, self.report))
 
     def save(self, folder: str | Path) -> Path:
-        """Write the artifact with model and controller, see `DesignedController.save`."""
+        """Write the artifact with model and controller; see `DesignedController.save`."""
         return self.controller.save(folder)
 
 
 def design(model: str | TrainedModel | None, data: TrajectoryDataset, task: Task, bounds: npt.ArrayLike, *,
            identified: Actuator | None = None, progress: bool | None = None) -> Designed:
-    """A controller for the task from recordings alone; no closed loop of the robot is needed.
+    """Design a controller for a task from recordings alone, without closed loops of the robot.
 
-    1. Delay, lag, friction and rate limit of the actuators, by what a cheap model predicts of held-out runs.
-    2. The model, trained on inputs that act. model: "predictive" (or None, "auto"): a predictive chart chosen by the
-       held-out runs; another kind of conf/model, such as "ssmr" or "dmd", fitted by its defaults; or a `TrainedModel`,
-       whose kind is fitted again, by its defaults, where the inputs that act are not the commands.
-    3. Noises of inputs, states, disturbance and sensors by the likelihood of held-out runs; the stationary observer.
-    4. Observer and weights by margins along the recordings and by loops against a twin, a second model.
+    1. Find delay, lag, friction and rate limit of the actuators, by the errors of a cheap model on held-out runs.
+    2. Fit the model, trained on acting inputs. model: "predictive" (or None, "auto"): a predictive chart, chosen by the
+       held-out runs; another kind in conf/model, such as "ssmr" or "dmd", with its defaults; or a `TrainedModel`, whose
+       kind is fitted again with its defaults where acting inputs differ from commands.
+    3. Find the noises of inputs, states, disturbance and sensors by the likelihood of held-out runs. They give the
+       stationary observer.
+    4. Choose observer and weights by margins along the recordings and by loops against a twin, a second model.
 
     Outputs that are not tracked, and inputs that tracking leaves free, tend to where the recordings are dense.
-    Obstacles and output bounds, of this task and of those that the controller is given later, are tightened at each
-    step of the horizon by the 95 % quantile of what it misses of the held-out runs.
+    Obstacles and output bounds, of this task and of later tasks, are tightened at each step of the horizon by the 95 %
+    quantile of the prediction errors on held-out runs.
 
-    data: recordings with controlled runs under dither; training and validation runs are used, test runs never.
+    data: recordings with controlled runs under dither. Training and validation runs are used, test runs never.
     task: of `ssmr_torch.tasks`; its outputs are tracked.   bounds: (2, m), lowest and highest command.
-    identified: an actuator that is known already; None: it is identified.
-    progress: a bar on the terminal, and a line for each finding; None: a bar alone, where there is a terminal.
+    identified: an actuator that is already known; None: identify it.
+    progress: True: a progress bar, and a line for each finding; None: a progress bar where there is a terminal.
 
-    Returns `(controller, report)`. Raises ValueError, with the reason, where the recordings cannot tell; TypeError for
-    data that are no dataset.
+    Returns `(controller, report)`. Raises ValueError, with the reason, where the recordings are not sufficient, and
+    TypeError where data is not a dataset.
 
     >>> controller, report = design("auto", data, task, bounds)                            # doctest: +SKIP
     """
@@ -100,7 +101,7 @@ def design(model: str | TrainedModel | None, data: TrajectoryDataset, task: Task
         search = choose_weights(chosen, found.actuator, acted, likelihood, noises, task=task, tell=tell, say=say)
     settings = settings_of(search.best.weights, search.best.observer, found.actuator, acted, likelihood)
     report = DesignReport(recordings, found, chosen, noises, search, likelihood, task.name, perf_counter() - began)
-    # in the order in which an artifact gives arrays back: products of another order are rounded otherwise
+    # An artifact loads arrays in C order. Products of arrays in another order would be rounded differently.
     ordered = chosen.model.with_arrays(np.ascontiguousarray)
     facts = report.facts | {"operation_error": operation_error(chosen.model, found.actuator, recordings)}
     controller = DesignedController(ordered, task, recordings.bounds, settings, timestep=data.timestep,
@@ -110,8 +111,8 @@ def design(model: str | TrainedModel | None, data: TrajectoryDataset, task: Task
 
 
 def _tighten(controller: DesignedController, held: list, say: Callable[[str], None]) -> None:
-    """Give the controller margins, also for obstacles of tasks to come. Raises ValueError where its own task has
-    constraints, and what it misses of the held-out runs is too large for any.
+    """Give the controller its margins, also for obstacles of later tasks. Raises ValueError where its own task has
+    constraints and the prediction errors on held-out runs are too large for margins.
     """
     try:
         tightened(controller, held, MARGIN_QUANTILE)
@@ -122,19 +123,19 @@ def _tighten(controller: DesignedController, held: list, say: Callable[[str], No
 
 
 def _name(model) -> str:
-    """Under which the artifact's model is known."""
+    """The name of the model in the artifact."""
     if _is_searched(model):
         return "predictive"
     return model.upper() if isinstance(model, str) else model.name
 
 
 def _is_searched(model) -> bool:
-    """Whether a predictive model is asked for."""
+    """Whether a predictive model was requested."""
     return isinstance(model, str | None) and model in SEARCHED
 
 
 def _card(data: TrajectoryDataset, name: str) -> dict:
-    """What an artifact's card says beside the model."""
+    """The entries of an artifact's card that do not come from the model."""
     outputs, inputs = data.extremes()
     return {"name": name, "output_names": list(data.output_names), "input_names": list(data.input_names),
             "input_unit": data.input_unit, "rest": data.rest.tolist(), "input_range": inputs.tolist(),
@@ -145,13 +146,14 @@ def _card(data: TrajectoryDataset, name: str) -> dict:
 def _given(actuator: Actuator, recordings: Recordings) -> Identification:
     if len(actuator.input_range) != recordings.input_dim or actuator.timestep != recordings.timestep:
         raise ValueError(f"the actuator has {len(actuator.input_range)} inputs and steps of {actuator.timestep:g} s; "
-                         f"the recordings {recordings.input_dim} and {recordings.timestep:g} s")
+                         f"expected {recordings.input_dim} inputs and {recordings.timestep:g} s, as in the recordings")
     return Identification(actuator, np.nan, np.nan, {}, {}, {})
 
 
 def _believed(found: Identification, recordings: Recordings, say) -> tuple[Identification, Recordings, list]:
-    """The actuator, unless the best of all models predicts worse with it: then commands act as they are; the recordings
-    under it, and what all models miss of them.
+    """The accepted actuator, the recordings with its acting inputs, and the errors of all models on them.
+
+    The actuator is rejected if even the best model predicts worse with it; commands then act directly.
     """
     acted = recordings.under(found.actuator)
     tried = all_tried(acted)
@@ -160,18 +162,18 @@ def _believed(found: Identification, recordings: Recordings, say) -> tuple[Ident
     plain = all_tried(recordings)
     if tried[0][1] <= DISBELIEF * plain[0][1]:
         return found, acted, tried
-    say(f"the actuator is not believed: the best model misses held-out runs by {100 * tried[0][1]:.3g} % of the reach "
-        f"with it, by {100 * plain[0][1]:.3g} % without")
+    say(f"the actuator is rejected: the best model's held-out error is {100 * tried[0][1]:.3g} % of the reach with it, "
+        f"and {100 * plain[0][1]:.3g} % without it")
     none = Actuator(recordings.timestep, found.actuator.input_range)
     return replace(found, actuator=none, error=found.plain), recordings, plain
 
 
 def _chosen(model, data: TrajectoryDataset, acted: Recordings, tried: list, actuator: Actuator,
             say: Callable[[str], None]) -> ChosenModel:
-    """The model that was asked for, and a predictive one as its twin."""
+    """The requested model, with a predictive model as its twin."""
     if _is_searched(model):
         return choose_predictive(acted, tried, say=say)
-    from ssmr_torch.fitting.by_kind import fit  # Torch and Lightning, which a predictive model does not need
+    from ssmr_torch.fitting.by_kind import fit  # needs Torch and Lightning; a predictive model does not
 
     if isinstance(model, str):
         trained = fit(acting_dataset(data, actuator), model, progress=False)
@@ -183,10 +185,10 @@ def _chosen(model, data: TrajectoryDataset, acted: Recordings, tried: list, actu
     error = horizon_error(reduced, acted)
     radius = float(np.quantile(spectral_radii(reduced, acted), 0.9))
     if not np.isfinite(error):
-        raise ValueError(f"{model} does not follow the held-out runs for 20 samples; design on another model, such as "
-                         "'auto'")
+        raise ValueError(f"{model} cannot predict the held-out runs over 20 samples; design with another model, such "
+                         "as 'auto'")
     say(f"model: {reduced.kind} of {reduced.state_dim} states; held-out error {100 * error:.3g} % of the reach"
-        + (f"; its Jacobians grow by up to {radius:.3g} a sample" if radius > WILD else ""))
+        + (f"; its Jacobians grow by up to {radius:.3g} per sample" if radius > WILD else ""))
     predictive = choose_predictive(acted, tried)
     return ChosenModel(reduced, error, predictive.model, predictive.error,
                        f"{getattr(trained, 'name', model)}: {reduced.kind} of {reduced.state_dim} states",
@@ -194,17 +196,17 @@ def _chosen(model, data: TrajectoryDataset, acted: Recordings, tried: list, actu
 
 
 def _kind_of(model: TrainedModel) -> str:
-    """With which `fit` made a model. Raises ValueError for one that does not tell."""
+    """The kind with which `fit` made a model. Raises ValueError where the model's card does not tell it."""
     kind = ((model.card.get("provenance") or {}).get("training") or {}).get("kind")
     if kind is None:
-        raise ValueError(f"the inputs that act are not the commands, so that {model.name} must be fitted again; its "
-                         "card does not tell its kind: give a kind by name, such as 'ssmr', or a model that this "
-                         "version's fit made")
+        raise ValueError(f"the acting inputs differ from the commands, so {model.name} must be fitted again, but its "
+                         "card does not tell its kind. Give a kind by name, such as 'ssmr', or a model that was made "
+                         "by fit of this version")
     return kind_now(kind)
 
 
 def _bar(shown: bool):
-    """A context that gives `tell(steps)`."""
+    """A context manager that gives the function `tell(steps)` of a progress bar."""
     if not shown:
         return nullcontext(lambda steps: None)
     from tqdm import tqdm

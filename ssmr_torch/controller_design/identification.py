@@ -1,4 +1,4 @@
-"""Delay, lag, friction and rate limit of the actuators, by what a cheap model predicts with acting inputs."""
+"""Identifies delay, lag, friction and rate limit of the actuators, by a cheap model's prediction errors."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ FRICTIONS = (("play", 0.02), ("play", 0.06), ("friction", 0.06), ("friction", 0.
 FINE = {"play": (0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.13),
         "friction": (0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08, 0.09, 0.1, 0.12, 0.15, 0.2, 0.25)}
 RATES = (40.0, 20.0, 10.0, 5.0)                   # input ranges per s
-GAIN = 0.97          # of the error of commands that act as they are: what an actuator must reach to be believed
-STEPS = 20           # samples of the predictions that are judged
+GAIN = 0.97          # an actuator is accepted if its error is below this times the error without an actuator
+STEPS = 20           # samples of the predictions whose errors are compared
 MORE_STATES, WINDOW, FUTURE = 6, 4, 10
 ROWS = 5000
-ROUNDS = 10          # at most, in which delay and lag or friction move to a better neighbour
+ROUNDS = 10          # largest number of rounds in which delay and lag, or friction, move to a better neighbour
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """actuator; error, plain: of the held-out predictions with it and with commands that act as they are, of the reach.
-    by_delay, by_lag, by_friction: errors over one setting, the others as found: {value: error}; delay in samples,
+    """actuator.   error, plain: held-out errors with it and without an actuator, as a share of the reach.
+    by_delay, by_lag, by_friction: errors over one setting, with the others as found: {value: error}; delay in samples,
     lag in s, friction as ("play", half) or ("friction", μθ).
     """
 
@@ -41,7 +41,8 @@ class Identification:
 
 
 class _Search:
-    """Errors of a linear or bilinear model of few coordinates, whose chart sees no past inputs: these hide a lag."""
+    """Errors of a linear or bilinear model with few coordinates. Its chart has no past inputs, which would hide a lag.
+    """
 
     def __init__(self, recordings: Recordings):
         self.recordings = recordings
@@ -56,7 +57,7 @@ class _Search:
             acted = Scaled(self.recordings.under(actuator), FUTURE, ROWS)
             form = self.form
             regression = Regression(acted, chart(acted, form.keep, form.window, False), form)
-            # a bilinear model may explode where a linear one does not: then that one judges
+            # A bilinear model may diverge where the linear one does not; then the linear one counts.
             self.errors[actuator] = min(held_error(regression.errors(regression.dynamics(degree, form.ridge), STEPS),
                                                    self.columns) for degree in (1, 2))
         return self.errors[actuator]
@@ -66,10 +67,10 @@ class _Search:
 
 
 def identify(recordings: Recordings, *, say: Callable[[str], None] = lambda line: None) -> Identification:
-    """Delay and lag on a grid, jointly with friction, as a lag would swallow it; then each setting by itself.
+    """Search delay and lag on a grid, together with friction, which a lag would hide; then each setting alone.
 
-    An actuator is believed only where it predicts held-out runs better than commands that act as they are, by more than
-    3 %; so is each of its parts in turn.
+    The actuator is accepted only if it makes the prediction error on held-out runs more than 3 % smaller than without
+    an actuator. The same holds for each of its parts.
     """
     search = _Search(recordings)
     none = Actuator(recordings.timestep, tuple(recordings.input_range.tolist()))
@@ -92,12 +93,12 @@ def identify(recordings: Recordings, *, say: Callable[[str], None] = lambda line
         best = limited
     found = Identification(best, search.error(best), search.error(none), *_profiles(search, best, recordings))
     say(f"actuator: {in_words(best)}; held-out error {100 * found.error:.3g} % of the reach, "
-        f"{100 * found.plain:.3g} % without")
+        f"{100 * found.plain:.3g} % without an actuator")
     return found
 
 
 def _needed(search: _Search, best: Actuator) -> Actuator:
-    """Without those parts, one after the other, without which the error is hardly larger."""
+    """The actuator without the parts that hardly reduce the error; they are removed one by one."""
     for name, nothing in (("lag", 0.0), ("friction", 0.0), ("play", 0.0), ("delay", 0)):
         without = replace(best, **{name: nothing})
         if GAIN * search.error(without) <= search.error(best):
@@ -133,7 +134,7 @@ def _profiles(search: _Search, best: Actuator, recordings: Recordings):
 
 
 def in_words(actuator: Actuator) -> str:
-    """What it consists of, "none" where commands act as they are."""
+    """The parts of an actuator in words; "none" where commands act directly."""
     parts = [f"delay {1e3 * actuator.delay * actuator.timestep:g} ms"] if actuator.delay else []
     parts += [f"lag {1e3 * actuator.lag:.3g} ms"] if actuator.lag else []
     parts += [f"play ±{100 * actuator.play:.3g} % of the input range"] if actuator.play else []
@@ -142,4 +143,4 @@ def in_words(actuator: Actuator) -> str:
     parts += [f"gains {', '.join(f'{g:.3g}' for g in actuator.gain)}"] if actuator.gain else []
     if actuator.offset:
         parts.append(f"offsets {', '.join(f'{100 * each:.2g}' for each in actuator.offset)} % of the range")
-    return ", ".join(parts) or "none, commands act as they are"
+    return ", ".join(parts) or "none, commands act directly"

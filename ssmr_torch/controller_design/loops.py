@@ -1,4 +1,4 @@
-"""The linear closed loop of robot, actuator, observer and unconstrained program: margins and predicted error.
+"""The linear closed loop of robot, actuator, observer and unconstrained controller: margins and predicted error.
 
 Outputs are in units of the reach, inputs in units of their range.
 """
@@ -16,13 +16,13 @@ from ssmr_torch.controller_design.noises import Observer
 from ssmr_torch.models.base import Model
 
 FREQUENCIES = 12
-LEAK = 0.9999      # of the disturbance per sample in the predicted error: it must be stationary
+LEAK = 0.9999      # of the disturbance per sample, so that the variance in the predicted error is finite
 
 
 @dataclass(frozen=True)
 class Weights:
-    """tolerance: of tracking, share of the reach.   input, move: of v and of its changes, v in units of the range.
-    horizon: N samples after the delay.
+    """tolerance: of tracking, share of the reach.   input, move: weights of v and of its changes, with v in units of
+    the input range.   horizon: N samples after the delay.
     """
 
     horizon: int
@@ -37,8 +37,8 @@ class Weights:
 
 @dataclass(frozen=True)
 class Margins:
-    """Worst over the points: spectral radii as it is, with extra delay, with the gain halved and doubled; and the
-    largest singular value of the sensitivity S(e^{iωT}) of the tracked outputs.
+    """The worst values over all points: spectral radii of the loop itself, with extra delay, with half and with twice
+    the gain; and the largest singular value of the sensitivity S(e^{iωT}) of the tracked outputs.
     """
 
     nominal: float = 0.0
@@ -55,15 +55,15 @@ class Margins:
         return self.nominal, self.delayed, self.halved, self.doubled, self.sensitivity
 
     def shortfall(self, peak: float) -> float:
-        """Below one where all margins hold."""
+        """Less than one where all margins hold."""
         return max(self.nominal, self.delayed, self.halved, self.doubled, self.sensitivity / peak)
 
 
 class Point:
     """The loop around one state z (n,) and acting input u (m,) of the recordings.
 
-    States of the linear model: [z, x of the lag, the queue of the delay, oldest first]; of z the `free` ones, which are
-    not the constant 1. reach: m; input_range (m,); tracked: columns of the outputs.
+    States of the linear model: [z, x of the lag, the queue of the delay, oldest first]. Of z only the `free` states are
+    used, without the constant 1. reach: m; input_range (m,); tracked: columns of the outputs.
     """
 
     def __init__(self, model: Model, actuator: Actuator, z, u, free, reach: float, input_range, tracked):
@@ -78,13 +78,13 @@ class Point:
 
     @cached_property
     def of_acting(self) -> np.ndarray:
-        """(N, m): what noise of the acting inputs does to the states."""
+        """(N, m), the effect of noise in the acting inputs on the states."""
         out = np.zeros((len(self.A), self.m))
         out[:self.n] = self.plain[1]
         return out
 
     def gain(self, weights: Weights) -> np.ndarray:
-        """v_0 = K [s, d, v_{−1}] of the unconstrained program, (m, N + p + m)."""
+        """K (m, N + p + m) of the unconstrained controller, v_0 = K [s, d, v_{−1}]."""
         if weights not in self._gains:
             self._gains[weights] = self._gain(weights)
         return self._gains[weights]
@@ -102,7 +102,8 @@ class Point:
         return np.linalg.solve(H, right)[:m]
 
     def _sensitivities(self, horizon: int) -> tuple[np.ndarray, np.ndarray]:
-        """Of the tracked outputs 1 … d + N to the inputs 0 … N − 1 and to the state, held inputs after that none."""
+        """Derivatives of the tracked outputs 1 … d + N by the inputs 0 … N − 1 and by the state; later inputs are zero.
+        """
         steps, m = horizon + self._delay, self.m
         G, P = np.zeros((len(self.A), horizon * m)), np.eye(len(self.A))
         Y, Z, C = [], [], self.C[self.tracked]
@@ -115,7 +116,7 @@ class Point:
         return np.vstack(Y), np.vstack(Z)
 
     def loop(self, observer: Observer, weights: Weights, extra: int = 0, gain: float = 1.0):
-        """Matrix of one sample on [robot with `extra` samples of delay, observer, last input]; C, K; and its rows."""
+        """Matrix of one sample for [robot with `extra` samples of delay, observer, last input]; C, K; and its rows."""
         n, p, m, N = self.n, self.p, self.m, len(self.A)
         Ap, Bp, Cp = _delayed(self.A, gain * self.B, self.C, extra)
         K = np.zeros((N + p, p))
@@ -136,7 +137,7 @@ class Point:
         return T @ U, Cp, K, watch
 
     def margins(self, observer: Observer, weights: Weights, extra: int) -> Margins:
-        """Where the loop is unstable as it is, nothing else is looked at."""
+        """The margins at this point. Where the loop itself is unstable, the others are not computed."""
         loop, Cp, K, watch = self.loop(observer, weights)
         nominal = _radius(loop)
         if nominal >= 1.0:
@@ -146,7 +147,7 @@ class Point:
                        _radius(self.loop(observer, weights, gain=2.0)[0]), self._peak(loop, Cp, K, watch))
 
     def sensitivity(self, observer: Observer, weights: Weights, frequencies: np.ndarray) -> np.ndarray:
-        """σ_max(S(e^{iω})) of the tracked outputs at ω per sample, (K,)."""
+        """σ_max(S(e^{iω})) of the tracked outputs, (K,), at frequencies ω per sample."""
         loop, Cp, K, watch = self.loop(observer, weights)
         return self._largest(loop, Cp, K, watch, frequencies)
 
@@ -162,7 +163,7 @@ class Point:
         return np.linalg.svd(S, compute_uv=False)[:, 0]
 
     def predicted_variance(self, observer: Observer, truth: Observer, weights: Weights) -> float:
-        """Of the tracked outputs under the noises of `truth`, by a Lyapunov equation; infinite where it is unstable."""
+        """Variance of the tracked outputs under the noises of `truth`, by a Lyapunov equation; infinite if unstable."""
         n, p, N = self.n, self.p, len(self.A)
         loop, Cp, K, watch = self.loop(observer, weights)
         if _radius(loop) >= 1.0:
@@ -184,7 +185,7 @@ class Point:
 
 
 def _with_actuator(A, B, C, actuator: Actuator):
-    """Of s = [z, x, queue], with the command v as input; inputs of all parts in the same unit."""
+    """The model of s = [z, x, queue] with the command v as input; the inputs of all parts are in the same unit."""
     n, m, d = len(A), B.shape[1], actuator.delay
     B = B * actuator.factor
     if actuator.share:

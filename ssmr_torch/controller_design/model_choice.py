@@ -1,4 +1,4 @@
-"""Which model a controller is designed on: a predictive chart chosen by held-out runs, or a kind that was asked for."""
+"""Chooses the model of a controller: a predictive chart, chosen by held-out runs, or a requested kind."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from ssmr_torch.trajectory import TrajectoryDataset
 WINDOWS, STATES = (3, 6, 12), (8, 12, 16, 20)
 DYNAMICS = ((1, 1e-7), (2, 1e-6), (3, 1e-6), (3, 1e-4))   # degree and ridge
 STEPS, FUTURE = 20, 20
-WILD = 1.01          # spectral radius that 90 % of the local Jacobians must keep
-POINTS = 24          # along the recordings, at which Jacobians are looked at
+WILD = 1.01          # largest allowed spectral radius of 90 % of the local Jacobians
+POINTS = 24          # number of points along the recordings with a Jacobian
 SEARCHED = ("predictive", "auto", None)
 
 
 @dataclass(frozen=True, eq=False)
 class ChosenModel:
-    """model: fitted on all runs, in acting inputs.   error: of the held-out predictions, of the reach, before that.
-    twin: a second model of other structure, fitted likewise, that stands for the robot.   words: what was chosen.
-    tried: forms with their errors, best first.
+    """model: fitted on all runs, with acting inputs.   error: of predictions on held-out runs before the final fit, as
+    a share of the reach.   twin: a second model with another structure, fitted the same way, that stands for the robot.
+    words: what was chosen.   tried: forms with their errors, best first.
     """
 
     model: Model
@@ -42,18 +42,19 @@ class ChosenModel:
 
 def choose_predictive(acted: Recordings, tried: list[tuple[Form, float]] | None = None, *,
                       say: Callable[[str], None] = lambda line: None) -> ChosenModel:
-    """The predictive model that predicts the held-out runs best over 20 samples, and the best of another structure.
+    """The predictive model with the smallest error on held-out runs over 20 samples, and the best with another
+    structure.
 
-    A model whose Jacobians along the recordings grow, by more than `WILD` at a tenth of the points, explodes beside its
-    data and is refused. Both are then fitted on the held-out runs as well.
-    tried: what `all_tried` gave of the same recordings, if it has been asked already.
+    A model is rejected if its Jacobians along the recordings grow by more than `WILD` at a tenth of the points; such
+    a model diverges outside its data. Both models are then fitted again, with the held-out runs.
+    tried: the result of `all_tried` for the same recordings, if it is known already.
     """
     scaled, found = Scaled(acted, FUTURE), all_tried(acted) if tried is None else tried
     tame = _tame(scaled, found)
     best = next(tame, None)
     if best is None:
-        raise ValueError(f"all {len(found)} models that were tried grow beside their data (spectral radius over {WILD} "
-                         "along the recordings); record longer, more slowly or less far, and look at ssmr check")
+        raise ValueError(f"all {len(found)} models grow outside their data (spectral radius above {WILD} along the "
+                         "recordings); record longer, more slowly or with smaller motions, and run ssmr check")
     other = next((each for each in tame if each[0].states != best[0].states and each[0].window != best[0].window), best)
     whole = Scaled(replace(acted, train=acted.all), FUTURE)
     say(f"model: {best[0].words}; held-out error {100 * best[1]:.3g} % of the reach")
@@ -62,7 +63,7 @@ def choose_predictive(acted: Recordings, tried: list[tuple[Form, float]] | None 
 
 
 def all_tried(acted: Recordings) -> list[tuple[Form, float]]:
-    """Every form with its held-out error, of the reach, best first."""
+    """Every form with its held-out error, as a share of the reach, best first."""
     scaled, recordings, found = Scaled(acted, FUTURE), acted, []
     p, m = recordings.output_dim, recordings.input_dim
     everything = tuple(range(p))
@@ -84,7 +85,7 @@ def all_tried(acted: Recordings) -> list[tuple[Form, float]]:
 
 
 def _tame(scaled: Scaled, found):
-    """Those of the models, in order, that do not grow along the recordings."""
+    """The models, in order, whose Jacobians do not grow along the recordings."""
     for form, error in found:
         model = _fitted(scaled, form)
         if np.quantile(spectral_radii(model, scaled.recordings), 0.9) <= WILD:
@@ -97,7 +98,7 @@ def _fitted(scaled: Scaled, form: Form) -> PolynomialModel:
 
 
 def spectral_radii(model: Model, acted: Recordings, count: int = POINTS) -> np.ndarray:
-    """Of ∂z⁺/∂z at points (count,) along the controlled runs."""
+    """Spectral radii of ∂z⁺/∂z at points (count,) along the controlled runs."""
     z, u = points_along(model, acted, count)
     A = model.linearize(z, u).A
     return np.abs(np.linalg.eigvals(np.nan_to_num(A, nan=1e6, posinf=1e6, neginf=-1e6))).max(-1)
@@ -115,7 +116,7 @@ def points_along(model: Model, acted: Recordings, count: int, seed: int = 1) -> 
 
 
 def acting_dataset(data: TrajectoryDataset, actuator: Actuator) -> TrajectoryDataset:
-    """The dataset with acting inputs in place of commands, test runs left out."""
+    """The dataset with acting inputs in place of commands, without test runs."""
     runs = [run.read() for run in data if run.split != "test"]
     return replace(data, trajectories=tuple(
         Trajectory(run.time, run.observation, actuator.acting(run.input), run.kind, run.split, run.name)
@@ -123,7 +124,7 @@ def acting_dataset(data: TrajectoryDataset, actuator: Actuator) -> TrajectoryDat
 
 
 def horizon_error(model: Model, acted: Recordings, steps: int = STEPS, stride: int = 7) -> float:
-    """As `held_error` of a predictive model, for any model, of the reach."""
+    """The error of any model on held-out runs, as `held_error` defines it, as a share of the reach."""
     errors, d = [], model.delays
     for piece in acted.held:
         start = np.arange(d, len(piece.input) - steps, stride)

@@ -1,4 +1,4 @@
-"""Noises by the likelihood of the innovations on recorded runs, and the stationary observer that belongs to them."""
+"""Finds the noises by the likelihood of the innovations on recorded runs, and the stationary observer for them."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from ssmr_torch.controller_design.model_choice import points_along
 from ssmr_torch.controller_design.recordings import Recordings
 from ssmr_torch.models.base import Model
 
-SEGMENT, BURN_IN = 160, 60       # samples of a segment, and those before its innovations count
+SEGMENT, BURN_IN = 160, 60       # samples of a segment, and its first samples, whose innovations do not count
 SEGMENTS = 48
 EVALUATIONS = 110                # of the likelihood, per start
-OUTLIER = 25.0                   # squared innovation per output, in variances, from which it counts linearly
-FLOOR = 1e-4                     # of the reach: no sensor is better
+OUTLIER = 25.0                   # squared innovation per output, in variances; beyond it the cost is linear
+FLOOR = 1e-4                     # of the reach: smallest noise of a sensor
 LOWEST, HIGHEST = (1e-4, 1e-6, 1e-6, FLOOR), (1.0, 0.3, 0.1, 30 * FLOOR)
 STARTS = ((0.03, 3e-3, 1e-3, 2 * FLOOR), (0.03, 3e-3, 1e-5, 10 * FLOOR), (3e-3, 3e-2, 1e-3, 5 * FLOOR),
-          (0.3, 0.3, 1e-4, 5 * FLOOR))   # the last holds a model that diverges by itself to its measurements
-PRECISE = 80                     # evaluations of the starts that come second
+          (0.3, 0.3, 1e-4, 5 * FLOOR))   # the last start suits a model that diverges without measurements
+PRECISE = 80                     # evaluations of the later starts
 
 
 @dataclass(frozen=True)
 class Noises:
-    """Standard deviations of an `Observer`'s model: inputs: of half of the input range; states: of their root mean
-    square; disturbance, sensor: of the reach.
+    """Standard deviations in the model of an `Observer`: inputs, as a share of half the input range; states, of their
+    root mean square; disturbance and sensor, of the reach.
     """
 
     inputs: float
@@ -37,7 +37,7 @@ class Noises:
     sensor: float
 
     def times(self, inputs: float = 1.0, states: float = 1.0, disturbance: float = 1.0, sensor: float = 1.0) -> Noises:
-        """The same, each times a factor."""
+        """The same noises, each multiplied by a factor."""
         return Noises(self.inputs * inputs, self.states * states, self.disturbance * disturbance, self.sensor * sensor)
 
 
@@ -45,8 +45,8 @@ class Noises:
 class Observer:
     """Stationary Kalman filter of z⁺ = f(z, v) + w, d⁺ = d + w_d, y = w(z) + d + noise, outputs in units of the reach.
 
-    gain (n + p, p); covariance (p, p) of the innovation; process (n + p, n + p), sensor (p, p): of w, w_d and noise; n
-    states without those that are the constant 1.
+    gain (n + p, p); covariance (p, p) of the innovation; process (n + p, n + p) of w and w_d; sensor (p, p) of the
+    noise; n counts the states without the constant 1.
     """
 
     gain: np.ndarray
@@ -56,11 +56,11 @@ class Observer:
 
 
 class Likelihood:
-    """Likelihood of noises: innovations of many segments of the held-out runs at once, filtered side by side.
+    """Likelihood of noises: many segments of the held-out runs are filtered at once, which gives the innovations.
 
-    The filter is linearized at the mean of the recordings; scaled zero need not be among them. Innovations that are
-    outliers count linearly, for dropped samples are none of the model's. States that are the constant 1 are not
-    filtered.
+    The filter is linearized at the mean of the recordings, because they need not contain the point zero. The cost of
+    outliers grows only linearly, because dropped samples say nothing about the model. States that are the constant 1
+    are not filtered.
     """
 
     def __init__(self, model: Model, acted: Recordings):
@@ -79,7 +79,7 @@ class Likelihood:
         if not starts:
             shortest = min(len(piece.input) for piece in self.acted.held)
             raise ValueError(f"the held-out runs are {shortest} samples long; expected more than {SEGMENT + d + 1}, "
-                             "from which the noises are told: record longer runs")
+                             "which the estimate of the noises needs: record longer runs")
         starts = [starts[k] for k in np.unique(np.linspace(0, len(starts) - 1, SEGMENTS).astype(int))]
         windows = np.stack([piece.observation[k - d:k + 1] for piece, k in starts])
         past = np.stack([piece.input[k - d:k] for piece, k in starts])
@@ -89,7 +89,7 @@ class Likelihood:
 
     @cached_property
     def linear(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A (n', n'), B (n', m) per half of the input range, C (p, n') per reach, of the states that are filtered."""
+        """A (n', n'), B (n', m) per half of the input range, C (p, n') per reach, for the filtered states."""
         A, B, _ = self.model.linearize(*self.mean)
         C, _ = self.model.linearize_output(self.mean[0])
         free = self.free
@@ -97,7 +97,7 @@ class Likelihood:
 
     @cached_property
     def decoding(self) -> np.ndarray:
-        """(p,) root mean square of what the decoder misses of the encoded window, of the reach."""
+        """(p,) root mean square error of decoding the encoded window, as a share of the reach."""
         d, missed = self.model.delays, []
         for piece in self.acted.held:
             k = np.arange(d, len(piece.input), 5)
@@ -107,7 +107,7 @@ class Likelihood:
         return np.sqrt(np.square(np.concatenate(missed)).mean(0))
 
     def observer(self, noises: Noises) -> Observer:
-        """Raises LinAlgError where there is no stationary filter."""
+        """The stationary observer for these noises. Raises LinAlgError where there is none."""
         A, B, C = self.linear
         p, n = C.shape
         process = np.zeros((n + p, n + p))
@@ -122,14 +122,14 @@ class Likelihood:
         return Observer(np.linalg.solve(S, H @ P).T, S, process, sensor)
 
     def whole_gain(self, observer: Observer) -> np.ndarray:
-        """(n + p, p) of all states of the model, zero for constant ones."""
+        """(n + p, p) for all states of the model, zero for constant ones."""
         n, p = self.model.state_dim, self.model.output_dim
         gain = np.zeros((n + p, p))
         gain[self.free], gain[n:] = observer.gain[:-p], observer.gain[-p:]
         return gain
 
     def innovations(self, observer: Observer) -> np.ndarray:
-        """(segments, SEGMENT − BURN_IN, p), of the reach."""
+        """Innovations (segments, SEGMENT − BURN_IN, p), as a share of the reach."""
         n, reach = self.model.state_dim, self.acted.reach
         z, d, found = self.begin, np.zeros((len(self.begin), self.model.output_dim)), []
         gain = self.whole_gain(observer)
@@ -144,7 +144,7 @@ class Likelihood:
         return np.stack(found, axis=1)
 
     def cost(self, theta: np.ndarray) -> float:
-        """Negative logarithm of the likelihood per sample, at logarithms of (inputs, states, disturbance, sensor)."""
+        """Negative log-likelihood per sample; theta: logarithms of (inputs, states, disturbance, sensor)."""
         within = np.clip(theta, np.log(LOWEST), np.log(HIGHEST))
         try:
             observer = self.observer(Noises(*np.exp(within)))
@@ -160,7 +160,7 @@ class Likelihood:
         return float(0.5 * (np.linalg.slogdet(observer.covariance)[1] + squared.mean()) + 1e-2 * outside)
 
     def most_likely(self, *, say: Callable[[str], None] = lambda line: None) -> Noises:
-        """By Nelder-Mead from several starts: one alone may end in another optimum, which costs accuracy."""
+        """The most likely noises, by Nelder-Mead from several starts. A single start may end in a worse optimum."""
         def searched(start, evaluations):
             x = np.log(start)
             return minimize(self.cost, x, method="Nelder-Mead", options={
@@ -170,8 +170,8 @@ class Likelihood:
         best = min((searched(start, PRECISE // 2) for start in STARTS), key=lambda found: found.fun)
         best = min([best, searched(np.exp(best.x), EVALUATIONS)], key=lambda found: found.fun)
         if best.fun >= 1e6:
-            raise ValueError("no stationary observer follows the held-out runs; the model does not fit them, see its "
-                             "held-out error")
+            raise ValueError("no stationary observer follows the held-out runs: the model does not fit them. See its "
+                             "held-out error, and choose another model or record longer")
         noises = Noises(*np.exp(np.clip(best.x, np.log(LOWEST), np.log(HIGHEST))).tolist())
         say(f"noises: inputs {noises.inputs:.3g} of half their range, states {noises.states:.3g}, disturbance "
             f"{noises.disturbance:.3g} and sensor {noises.sensor:.3g} of the reach "

@@ -1,4 +1,4 @@
-"""Predictive charts: the tracked outputs, and the directions of the past that best predict the future.
+"""Predictive charts: the state is the tracked outputs, and the parts of the past that predict the future best.
 
 All arrays here are scaled: outputs by the reach, inputs to −1 … 1 over their bounds. `Regression.model` is in SI.
 """
@@ -18,18 +18,18 @@ from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.structure import Structure
 from ssmr_torch.selection.assembly import uncentred
 
-ROWS = 8000          # of a regression while models are compared
+ROWS = 8000          # rows of a regression while models are compared
 CHART_RIDGE, OUTPUT_RIDGE = 1e-7, 1e-6
-CURVED = 6           # leading coordinates whose products the outputs that are not coordinates hold
-FREE = 1.5           # times the recorded range, at which compared rollouts are held
-REACH = 1.2          # of the recorded range, from which nonlinear terms of the model saturate
+CURVED = 6           # number of leading coordinates whose products the other outputs are decoded from
+FREE = 1.5           # times the recorded range: rollouts are clipped there while models are compared
+REACH = 1.2          # of the recorded range: beyond it nonlinear terms of the model saturate
 
 
 @dataclass(frozen=True)
 class Form:
-    """What distinguishes predictive models: keep: outputs that are coordinates, decoded exactly; window: samples of
-    the chart; states: n; degree: of the dynamics over (z, u); cubic: leading coordinates within cubic terms; ridge;
-    past_inputs: whether the chart sees the inputs within the window.
+    """The settings of a predictive model. keep: outputs that are coordinates, decoded exactly; window: samples of the
+    chart; states: n; degree: of the dynamics over (z, u); cubic: number of leading coordinates in cubic terms; ridge;
+    past_inputs: whether the chart uses the inputs within the window.
     """
 
     keep: tuple[int, ...]
@@ -49,14 +49,15 @@ class Form:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """z = [w, 1] E of windows w: E (values + 1, n_max), kept outputs first; R (q, q): kept outputs = z[:q] R + rest."""
+    """z = [w, 1] E for windows w: E (values + 1, n_max), kept outputs first; R (q, q): kept outputs = z[:q] R + rest.
+    """
 
     E: np.ndarray
     R: np.ndarray
 
 
 class Scaled:
-    """Recordings in scaled arrays, every `stride`-th row of them kept for regressions."""
+    """Recordings as scaled arrays; every `stride`-th row is used for regressions."""
 
     def __init__(self, recordings: Recordings, future: int, most: int | None = ROWS):
         self.recordings, self.future = recordings, future
@@ -72,7 +73,7 @@ class Scaled:
 
 
 def windows(piece: Piece, length: int, past_inputs: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Windows (K, values), oldest sample first, then the past inputs; and the samples k that they end at."""
+    """Windows (K, values), oldest sample first, then the past inputs; and the numbers k of their last samples."""
     y, u = piece.observation, piece.input
     k = np.arange(length - 1, len(y))
     parts = [y[k - j] for j in range(length - 1, -1, -1)]
@@ -82,7 +83,7 @@ def windows(piece: Piece, length: int, past_inputs: bool) -> tuple[np.ndarray, n
 
 
 def ridge_solution(X: np.ndarray, Y: np.ndarray, ridge: float) -> np.ndarray:
-    """argmin ‖X β − Y‖² + ridge rows ‖s β‖², with s the root mean squares of the columns of X."""
+    """argmin ‖X β − Y‖² + ridge rows ‖s β‖², where s is the root mean square of each column of X."""
     scale = np.sqrt((X**2).mean(0)) + 1e-12
     return _solved((X / scale).T @ (X / scale), (X / scale).T @ Y, ridge * len(X)) / scale[:, None]
 
@@ -92,8 +93,8 @@ def _solved(G: np.ndarray, B: np.ndarray, ridge: float) -> np.ndarray:
 
 
 def chart(scaled: Scaled, keep: Sequence[int], length: int, past_inputs: bool) -> Chart:
-    """The kept outputs, and the directions of the window that reduced-rank regression of the next `future` outputs on
-    window and future inputs finds.
+    """A chart with the kept outputs, and with those directions of the window that reduced-rank regression of the next
+    `future` outputs on window and future inputs finds.
     """
     W, V, Y = [], [], []
     for piece in scaled.train:
@@ -120,7 +121,7 @@ def chart(scaled: Scaled, keep: Sequence[int], length: int, past_inputs: bool) -
 
 
 def monomial_factors(n: int, m: int, degree: int, cubic: int) -> list[tuple[int, ...]]:
-    """Factors of the monomials of (z, u) up to a degree, graded; cubic ones of the leading z and u alone."""
+    """Factors of the monomials of (z, u) up to a degree, graded; cubic monomials have only the leading z and u."""
     found: list[tuple[int, ...]] = [(), *((k,) for k in range(n + m))]
     if degree >= 2:
         found += combinations_with_replacement(range(n + m), 2)
@@ -130,7 +131,7 @@ def monomial_factors(n: int, m: int, degree: int, cubic: int) -> list[tuple[int,
 
 
 class Regression:
-    """Gram matrices of one chart and number of states, from which every degree and ridge is solved."""
+    """Gram matrices for one chart and number of states. Every degree and ridge is solved from them."""
 
     def __init__(self, scaled: Scaled, found: Chart, form: Form):
         self.scaled, self.chart, self.form = scaled, found, form
@@ -155,7 +156,7 @@ class Regression:
         self.rows, self.gram, self.moment = phi.shape[1], phi @ phi.T, phi @ np.vstack(D)
 
     def dynamics(self, degree: int, ridge: float) -> np.ndarray:
-        """(F, n): z⁺ − z over the monomials up to this degree, zero for those beyond it."""
+        """(F, n): z⁺ − z over the monomials up to this degree; zero for monomials of a higher degree."""
         count = len(monomial_factors(self.form.states, self.scaled.recordings.input_dim, degree, self.form.cubic))
         table = np.zeros((len(self.factors), self.form.states))
         solution = _solved(self.gram[:count, :count], self.moment[:count], ridge * self.rows)
@@ -170,7 +171,7 @@ class Regression:
 
     @cached_property
     def decoder(self) -> np.ndarray:
-        """(·, p): outputs over the `curved` monomials; the kept ones exactly."""
+        """(·, p): all outputs over the `curved` monomials; the kept outputs exactly."""
         phi = self.curved.chosen_rows(self.curved.rows(np.ascontiguousarray(self.states.T))).T
         table = ridge_solution(phi, self.outputs, OUTPUT_RIDGE)
         q = len(self.form.keep)
@@ -181,7 +182,7 @@ class Regression:
         return table
 
     def errors(self, table: np.ndarray, steps: int, stride: int = 7) -> np.ndarray:
-        """(starts, steps, p) of predictions of the held-out runs from encoded windows."""
+        """Prediction errors (starts, steps, p) on held-out runs, from encoded windows."""
         found = []
         for piece in self.scaled.held:
             w, k = windows(piece, self.form.window, self.form.past_inputs)
@@ -200,7 +201,7 @@ class Regression:
         return monomials.chosen_rows(monomials.rows(np.ascontiguousarray(points.T))).T
 
     def model(self, degree: int, ridge: float) -> PolynomialModel:
-        """The model in SI units, a map over one sample, nonlinear terms held near the recorded range."""
+        """The model in SI units, a map over one sample. Its nonlinear terms saturate near the recorded range."""
         recordings, form = self.scaled.recordings, self.form
         n, p, m, length = form.states, recordings.output_dim, recordings.input_dim, form.window
         table = self.dynamics(degree, ridge)
@@ -224,7 +225,7 @@ class Regression:
 
 
 def held_error(errors: np.ndarray, columns: Sequence[int]) -> float:
-    """Mean over five horizons, spread evenly in their logarithm, of the root mean square error in the columns."""
+    """Mean over five horizons of the root mean square error in the columns. The horizons are spaced logarithmically."""
     sizes = np.sqrt((errors[:, :, list(columns)]**2).sum(2).mean(0))
     at = np.unique(np.round(np.geomspace(1, len(sizes), 5)).astype(int)) - 1
     return float(np.mean(sizes[at])) if np.isfinite(sizes).all() else np.inf

@@ -1,4 +1,4 @@
-"""The recordings as a design sees them: runs to train on, runs held out, and the units that belong to the robot."""
+"""The recordings as a design uses them: training runs, held-out runs, and the units of reach and input range."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import numpy.typing as npt
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
-HELD_OUT = 4        # every so many-th controlled run is held out where none is marked for validation
-LEAST_HELD = 3.0    # s of controlled runs that must be held out
-CONSTANT = 1e-3     # of its range: an input that moves less tells nothing
+HELD_OUT = 4        # every 4th controlled run is held out, unless runs are marked for validation
+LEAST_HELD = 3.0    # s of held-out controlled runs that are needed
+CONSTANT = 1e-3     # of its range: an input that moves less counts as constant
 
 
 class Piece(NamedTuple):
-    """observation (T, p), m; input (T, m), the command or what acts; decay: whether it is a decay."""
+    """observation (T, p), m; input (T, m), commands or acting inputs; decay: whether it is a decay."""
 
     observation: np.ndarray
     input: np.ndarray
@@ -28,7 +28,7 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Recordings:
-    """train, held: pieces with commands; held are controlled runs that no fit sees. timestep: s.
+    """train, held: pieces with commands. Held-out pieces are controlled runs that no fit uses. timestep: s.
     bounds: (2, m), of the commands. tracked: columns of the outputs that the task prescribes.
     reach: m, largest displacement of the tracked outputs.
     """
@@ -52,12 +52,12 @@ class Recordings:
 
     @property
     def controlled(self) -> list[Piece]:
-        """Controlled runs of the training."""
+        """The controlled runs among the training runs."""
         return [piece for piece in self.train if not piece.decay]
 
     @property
     def minutes(self) -> float:
-        """Of all recordings that the design uses."""
+        """The length of all recordings that the design uses, min."""
         return sum(len(piece.input) for piece in self.all) * self.timestep / 60.0
 
     @property
@@ -80,7 +80,7 @@ class Recordings:
 
     @cached_property
     def usual_input(self) -> np.ndarray:
-        """(m,), mean input of the controlled runs: around it the recordings are dense."""
+        """(m,), mean input of the controlled runs; the recordings are dense around it."""
         return np.concatenate([piece.input for piece in self.controlled]).mean(0)
 
     @cached_property
@@ -90,7 +90,7 @@ class Recordings:
         return outputs.mean(0), np.maximum(outputs.std(0), 1e-6 * self.reach)
 
     def under(self, actuator: Actuator) -> Recordings:
-        """The same with acting inputs in place of commands."""
+        """The same recordings with acting inputs in place of commands."""
         def acted(pieces):
             return [piece._replace(input=actuator.acting(piece.input)) for piece in pieces]
 
@@ -98,10 +98,10 @@ class Recordings:
 
 
 def recordings_of(data: TrajectoryDataset, tracked: Sequence[int], bounds: npt.ArrayLike) -> Recordings:
-    """Of the dataset's training and validation runs; test runs are never looked at.
+    """The training and validation runs of a dataset; test runs are never used.
 
-    Raises ValueError where nothing can be told from them: no controlled run, none that could be held out, an input
-    that is constant or leaves the bounds.
+    Raises ValueError where they are not sufficient: no controlled run, none that can be held out, or an input that is
+    constant or leaves the bounds.
     """
     bounds = np.asarray(bounds, dtype=np.float64)
     if bounds.shape != (2, data.input_dim) or not (np.isfinite(bounds).all() and (bounds[0] < bounds[1]).all()):
@@ -115,12 +115,12 @@ def recordings_of(data: TrajectoryDataset, tracked: Sequence[int], bounds: npt.A
 
 
 def held_out(data: TrajectoryDataset) -> list[Trajectory]:
-    """The controlled runs that no fit of a design sees."""
+    """The controlled runs that no fit of a design uses."""
     return _split(data)[1]
 
 
 def _split(data: TrajectoryDataset) -> tuple[list[Trajectory], list[Trajectory]]:
-    """Runs to train on, and controlled ones held out: those for validation, or every `HELD_OUT`-th."""
+    """Training runs, and held-out controlled runs: those for validation, or every `HELD_OUT`-th one."""
     runs = [run.read() for split in ("train", "validation") for run in data.select(split) if run.kind != "static"]
     controlled = [run for run in runs if run.kind == "controlled"]
     held = [run for run in controlled if run.split == "validation"] or controlled[HELD_OUT - 1::HELD_OUT] \
@@ -134,19 +134,19 @@ def _piece(run: Trajectory) -> Piece:
 
 def _check(found: Recordings) -> None:
     if not found.controlled:
-        raise ValueError("the data hold no controlled run to train on; a controller needs recordings under inputs that "
-                         "change: record some minutes with dither (excitation=five_minutes), or by ssmr commission")
+        raise ValueError("the data have no controlled run to train on, but a controller needs recordings with changing "
+                         "inputs: record some minutes with dither (excitation=five_minutes), or use ssmr commission")
     seconds = sum(len(piece.input) for piece in found.held) * found.timestep
     if seconds < LEAST_HELD:
-        raise ValueError(f"{seconds:.3g} s of controlled runs could be held out; expected {LEAST_HELD:g} s or more, "
-                         "from which delay, noises and weights are judged: record two controlled runs or more, or mark "
-                         "one split='validation'")
+        raise ValueError(f"{seconds:.3g} s of controlled runs can be held out; expected {LEAST_HELD:g} s or more, by "
+                         "which delay, noises and weights are judged. Record two controlled runs or more, or mark one "
+                         "of them split='validation'")
     inputs = np.concatenate([piece.input for piece in found.controlled])
     span = np.ptp(inputs, axis=0) / found.input_range
     still = [name for name, share in zip(found.input_names, span) if share < CONSTANT]
     if still:
-        raise ValueError(f"the inputs {', '.join(still)} never change in the controlled runs; what they do cannot be "
-                         "told: record runs in which every input moves")
+        raise ValueError(f"the inputs {', '.join(still)} never change in the controlled runs, so that their effect is "
+                         "unknown: record runs in which every input moves")
     lowest, highest = inputs.min(0), inputs.max(0)
     slack = 1e-6 * found.input_range
     outside = [name for k, name in enumerate(found.input_names)

@@ -1,4 +1,4 @@
-"""A task on the model before it is run on the robot: what is out of reach, which bounds hold it, how fast it can go."""
+"""A rehearsal: a task on the model before the robot. It shows what is out of reach, inputs at bounds, and the speed."""
 
 from __future__ import annotations
 
@@ -17,21 +17,22 @@ from ssmr_torch.tasks.references import Task
 if TYPE_CHECKING:
     from ssmr_torch.control.mpc import ModelPredictiveController
 
-POINTS = 60            # along the path, at which the static floor is sought
+POINTS = 60            # number of points along the path for the static floor
 ITERATIONS = 8         # of the search for the inputs that hold a point
 SETTLED = 5.0          # s in which the model comes to rest
-AT_BOUND = 1e-3        # of its range: an input nearer to a bound is held by it
-OUT_OF_REACH = 0.01    # of the path's own extent: a static error beyond it is out of reach
+AT_BOUND = 1e-3        # of its range: an input nearer to a bound counts as being at it
+OUT_OF_REACH = 0.01    # of the path's extent: a point with a larger static error is out of reach
 SPEEDS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
-FEASIBLE = 2.0         # times the error at half the speed, and 1 % of the extent at most: still feasible
+FEASIBLE = 2.0         # times the error at half the speed, or 1 % of the extent if that is more: largest feasible error
 
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal(DataSheet):
-    """floor: (K,) m, least static error at K points of the path; out_of_reach: share of them beyond 1 % of its extent.
-    static_ise: m², sum over the samples of the run of its square, which no controller goes below at this pace.
-    held: share of the run's samples by name of input and bound at which the model's loop held it there.
-    rmse: m, of the loop on the model without noise. fastest: largest factor of the task's speed that the model tracks.
+    """floor: (K,) m, least static error at K points of the path.   out_of_reach: share of points with an error of more
+    than 1 % of the path's extent.   static_ise: m², sum of the squared floor over the samples of the run; no controller
+    is better at this speed.   held: {name of input and bound: share of samples at which the loop on the model had the
+    input at this bound}.   rmse: m, of the loop on the model without noise.   fastest: largest factor of the task's
+    speed that the model can track.
     """
 
     task: str
@@ -55,11 +56,11 @@ class Rehearsal(DataSheet):
 
 
 def rehearse(controller: ModelPredictiveController, task: Task | None = None) -> Rehearsal:
-    """Run a task (None: the controller's own) on the controller's model, and seek the inputs that hold its points.
+    """Run a task (None: the controller's own) on the controller's model, and find the inputs that hold its points.
 
     The static floor is the least distance to each point at rest, over all inputs within the bounds, by Gauss-Newton
-    steps on the model's steady state. What is within reach at rest may still be too fast; `fastest` says how fast the
-    loop on the model can go. All of this is the model's word, good where recordings were.
+    steps on the model's steady state. A path within reach at rest may still be too fast; `fastest` gives the largest
+    feasible speed of the loop on the model. All this holds for the model, which is good only near its recordings.
     """
     task = controller.task if task is None else task
     columns = task.columns(controller.output_names)
@@ -85,7 +86,7 @@ def _rms(errors: np.ndarray) -> float:
 
 
 def _loop(controller, task: Task, columns, speed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Commands (T, m) and errors (T, q) of the task at this factor of its speed, on the model."""
+    """Commands (T, m) and errors (T, q) of the task on the model, at this factor of its speed."""
     quick = task if speed == 1.0 else Task(task.name, task.duration / speed, task.tracked, _Faster(task, speed))
     runner = type(controller)(controller.model, quick, controller.input_bounds, controller.settings,
                               timestep=controller.timestep, output_names=controller.output_names)
@@ -116,7 +117,7 @@ class _Faster:
 
 
 def _fastest(controller, task: Task, columns, extent: float, as_it_is: float) -> float | None:
-    """Largest factor of the speed at which the error stays within `FEASIBLE`; None where half of it is too fast.
+    """Largest factor of the speed at which the error stays within `FEASIBLE`; None where half the speed is too fast.
 
     extent: m, of the path.   as_it_is: m, the error at the task's own speed.
     """
@@ -146,14 +147,14 @@ def _static(controller, task: Task, columns) -> np.ndarray:
         for _ in range(ITERATIONS):
             z, y = _settled(step, z, u, round(SETTLED / controller.timestep))
             error = y[columns] - point
-            if not np.isfinite(error).all():  # the model leaves its range: the next point begins at rest again
+            if not np.isfinite(error).all():  # the model left its range: the next point begins at rest again
                 z, u = start
                 break
             best = min(best, float(np.linalg.norm(error)))
             A, B, _ = fine.linearize(z, u)
             C, _ = fine.linearize_output(z)
             G = C[columns] @ np.linalg.lstsq(np.eye(len(A)) - A, B, rcond=None)[0]
-            # little weight on the change: of many inputs that hold a point, the nearest
+            # A small weight on the change: if many inputs hold a point, take the nearest.
             system = np.vstack([G, 1e-3 * np.linalg.norm(G, 2) * np.eye(len(u))])
             target = np.concatenate([-error, np.zeros(len(u))])
             change = lsq_linear(system, target, (lower - u - 1e-12, upper - u + 1e-12)).x

@@ -1,4 +1,4 @@
-"""What a design found and why: sentences, plain values, and figures."""
+"""The report of a design: its findings and reasons as sentences, plain values and figures."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from ssmr_torch.data_sheet import DataSheet
 
 @dataclass(frozen=True, eq=False)
 class DesignReport(DataSheet):
-    """All that a design found. seconds: that it took.
+    """All findings of a design. seconds: how long it took.
 
-    `sentences` says it in words, `facts` as plain values, `save(folder)` writes both with figures.
+    `sentences` gives them in words, `facts` as plain values; `save(folder)` writes both with figures.
     """
 
     recordings: Recordings
@@ -36,7 +36,7 @@ class DesignReport(DataSheet):
 
     @property
     def facts(self) -> dict:
-        """Plain values, as JSON has them."""
+        """The findings as plain JSON values."""
         best, found, recordings = self.search.best, self.identification, self.recordings
         return {
             "tuned": f"designed from {recordings.minutes:.2g} min of recordings", "task": self.task,
@@ -57,32 +57,32 @@ class DesignReport(DataSheet):
 
     @property
     def sentences(self) -> list[str]:
-        """What was found, what was decided by it, and what the recordings could not tell."""
+        """The findings, the decisions that follow from them, and what the recordings do not show."""
         best, found, search, reach = self.search.best, self.identification, self.search, self.recordings.reach
         mm = 1e3 * reach
         lines = [f"The actuators: {in_words(found.actuator)}."]
         if np.isfinite(found.error) and found.actuator.trivial:
-            lines.append(f"A cheap model misses held-out runs by {100 * found.error:.3g} % of the reach, and no "
-                         "actuator was found with which this and the best of all models predict better.")
+            lines.append(f"A cheap model has an error of {100 * found.error:.3g} % of the reach on held-out runs. No "
+                         "actuator was found that improves both this model and the best of all models.")
         elif np.isfinite(found.error):
-            lines.append(f"With them a cheap model misses held-out runs by {100 * found.error:.3g} % of the reach, "
-                         f"without by {100 * found.plain:.3g} %.")
-        lines += [f"The model: {self.model.words}. It misses held-out runs by {100 * self.model.error:.3g} % of the "
-                  f"reach ({mm * self.model.error:.3g} mm), on the mean of 1 to 20 samples.",
+            lines.append(f"With them a cheap model has an error of {100 * found.error:.3g} % of the reach on held-out "
+                         f"runs, without them {100 * found.plain:.3g} %.")
+        lines += [f"The model: {self.model.words}. Its error on held-out runs is {100 * self.model.error:.3g} % of the "
+                  f"reach ({mm * self.model.error:.3g} mm), the mean over 1 to 20 samples.",
                   f"The noise of the sensors is {mm * self.noises.sensor:.3g} mm.",
-                  f"{search.stable} of {search.count} designs are stable along the recordings, {search.safe} keep all "
+                  f"{search.stable} of {search.count} designs are stable along the recordings. {search.safe} keep all "
                   f"margins: {1e3 * search.extra * self.recordings.timestep:g} ms more delay, half and twice the gain, "
                   f"a sensitivity of {PEAK:g}."]
         if not search.safe:
-            lines.append("No design keeps all margins; the most robust one was taken. Expect it to be calm, not "
-                         "accurate; recordings with more dither may tell more.")
+            lines.append("No design keeps all margins; the most robust one was taken. Expect calm motion, but not "
+                         "accurate tracking. Recordings with more dither may help.")
         if search.judged_by == "margins":
-            lines.append("Every loop against the twin was lost, so the twin is no judge; the margins decided.")
+            lines.append("Every loop against the twin was lost, so the designs were ranked by their margins alone.")
         lines.append(f"Predicted tracking error: {100 * best.predicted:.3g} % of the reach, "
                      f"{mm * best.predicted:.3g} mm.")
         lost = [name for name, error in best.against_twin.items() if not np.isfinite(error)]
         if lost:
-            lines.append(f"Against the twin the loop got lost with: {', '.join(lost)}.")
+            lines.append(f"Against the twin the loop was lost with: {', '.join(lost)}.")
         return lines
 
     def data_sheet(self) -> tuple[str, dict]:
@@ -101,7 +101,7 @@ class DesignReport(DataSheet):
             "against the twin": twin or "not tried"}
 
     def save(self, folder: str | Path, *, figures: bool = True) -> Path:
-        """Write design.json, design.md and the figures; each file appears only when it is complete."""
+        """Write design.json, design.md and the figures. Each file appears only when it is complete."""
         folder, pictures = Path(folder), []
         folder.mkdir(parents=True, exist_ok=True)
         if figures:

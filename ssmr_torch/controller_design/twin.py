@@ -1,4 +1,4 @@
-"""Closed loops against a twin: a second model of the same recordings that stands for the robot, disturbed."""
+"""Closed loops against a twin: a second model of the same recordings, which stands for the robot, with disturbances."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from ssmr_torch.controller_design.recordings import Recordings
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.tasks.references import Task
 
-LOST = 0.05          # of the reach: an error larger than that, for `PATIENCE` s, is a loop that got lost
+LOST = 0.05          # of the reach: a loop with a larger error for `PATIENCE` s counts as lost
 PATIENCE = 0.3       # s
-BEGIN = 1.0          # s of a loop that do not count
-SECONDS = 4.0        # of a reference
-SMALLER, SLOWER, WIDER = 0.7, 2.0, 2.2   # of a recorded motion: amplitude, speed; and what is out of reach
+BEGIN = 1.0          # s at the start of a loop that do not count
+SECONDS = 4.0        # length of a reference
+SMALLER, SLOWER, WIDER = 0.7, 2.0, 2.2   # of a recorded motion: amplitude, duration; amplitude out of reach
 SETTLED = 300        # samples in which the twin comes to rest
 
 
 @dataclass(frozen=True)
 class Case:
-    """What disturbs the twin: delay and lag beside the actuator's, s; gain of the first input; a constant input, of
-    half of the range; play, of the range.
+    """A disturbance of the twin: delay and lag added to the actuator's, s; gain of the first input; load, a constant
+    input, as a share of half the range; play, as a share of the range.
     """
 
     name: str
@@ -41,10 +41,10 @@ CASES = (Case("as it is"), Case("delay of 20 ms", delay=0.02), Case("delay and l
 
 
 class Twin:
-    """A robot for simulation: `reset` and `step` as of a plant, outputs in m, with the sensors' noise.
+    """A simulated robot with `reset` and `step` like a plant; outputs in m, with the noise of the sensors.
 
-    White noise of states or inputs would speak for observers that believe the newest measurement more than the model,
-    and these were lost where the robot was not as recorded.
+    The twin has no white noise of states or inputs. Such noise would favour observers that follow the newest
+    measurement more than the model, and these lost the reference where the robot was not as recorded.
     """
 
     def __init__(self, model: PolynomialModel, actuator: Actuator, recordings: Recordings, noises: Noises, case: Case):
@@ -89,7 +89,7 @@ class Twin:
 
 
 def tracking_error(twin: Twin, controller: Callable, task: Task, columns, *, lost: float = LOST) -> float:
-    """Root mean square of the tracking error after `BEGIN` s, of the reach; infinite where the loop gets lost."""
+    """Root mean square of the tracking error after `BEGIN` s, as a share of the reach; infinite for a lost loop."""
     recordings = twin.recordings
     h, reach, columns = recordings.timestep, recordings.reach, list(columns)
     controller.reset()
@@ -111,7 +111,8 @@ def tracking_error(twin: Twin, controller: Callable, task: Task, columns, *, los
 
 
 def recorded_motion(recordings: Recordings, names, *, scale: float = 1.0) -> Task:
-    """A held-out run of the tracked outputs, smaller, slower and smoothed, from rest; scale: of its amplitude."""
+    """A held-out run of the tracked outputs as a task from rest, smaller, slower and smoothed; scale: of its amplitude.
+    """
     h, columns = recordings.timestep, list(recordings.tracked)
     observed = max(recordings.held, key=lambda piece: len(piece.input)).observation[:, columns]
     count = min(round(SECONDS / h), round(SLOWER * (len(observed) - 1)))
@@ -127,7 +128,7 @@ def recorded_motion(recordings: Recordings, names, *, scale: float = 1.0) -> Tas
 
 @dataclass(frozen=True, eq=False)
 class _Sampled:
-    """Points every h s, linear in between."""
+    """Points every h s, with linear interpolation."""
 
     h: float
     points: np.ndarray

@@ -1,4 +1,4 @@
-"""Observer and weights: those with margins along the recordings, ranked by loops against the disturbed twin."""
+"""Chooses observer and weights: margins along the recordings come first, then loops against the disturbed twin."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ from ssmr_torch.controller_design.twin import CASES, LOST, WIDER, Case, Twin, re
 from ssmr_torch.tasks.references import Task
 
 OF_STATES, OF_SENSOR = (1.0, 0.1, 0.01), (1.0, 4.0)
-# What a disturbance may change by in a sample, of the sensors' noise. The recordings tell nothing of it: they hold no
-# payload. One over it is about the samples that the observer takes to find one.
+# Change of a disturbance per sample, as a share of the sensors' noise. The recordings do not show it, as they have no
+# payload. Its inverse is about the number of samples in which the observer finds a payload.
 OF_DISTURBANCE = (0.003, 0.01, 0.03, 0.1, 0.3)
-# At least: a change of 1.6 % of an input's range in a sample costs as much as a tracking error of the tolerance. With
-# less, loops that look better against a twin were lost where the robot was not as recorded.
+# A change of 1.6 % of an input's range in a sample costs at least as much as a tracking error of the tolerance. With
+# smaller weights loops look better against a twin, but lost the reference where the robot was not as recorded.
 MOVES = (4e3, 1.3e4, 4e4, 1.3e5, 4e5)
 TOLERANCE, HORIZON = 1e-3, 10
-# The input weight: this share of the move weight, so that directions which tracking leaves free settle within ten
-# samples, and at most what biases tracking by 4e-5 of the reach for an input that is off by its range.
+# The input weight is this share of the move weight, so that directions which tracking leaves free settle within ten
+# samples. At most MOST: it then biases tracking by 4e-5 of the reach for an input that is off by its range.
 OF_MOVE, MOST = 0.01, 40.0
-POINTS = 4           # along the recordings, at which margins are asked for
-EXTRA_DELAY = 0.06   # s, that a loop must stand, but no more than `SHARE_OF_LOOP` of its own time
-SHARE_OF_LOOP = 3.0  # samples beyond the actuator's own delay and lag
-PEAK = 2.0           # of the sensitivity
-SCREENED_BY = (2, 3)  # cases of the twin that the best design of every pace and move weight is tried in first
-LESS_FAR = (0.5, 0.25)  # of the recorded motion, where the loop is lost along it without any disturbance
-TRIES = 8            # designs that are tried in all cases
-FAR = 1.25           # times the least error out of reach, that a design may make there
-DRIFT = 0.01         # of the sensors' noise: what a disturbance changes by in a sample at least, in the predicted error
+POINTS = 4           # number of points along the recordings with margins
+EXTRA_DELAY = 0.06   # s of extra delay that a loop must tolerate, but at most `SHARE_OF_LOOP` times its own
+SHARE_OF_LOOP = 3.0  # times one sample and the actuator's delay and lag
+PEAK = 2.0           # largest sensitivity
+SCREENED_BY = (2, 3)  # cases of the twin for a first trial of the best design of every disturbance and move weight
+LESS_FAR = (0.5, 0.25)  # factors of the recorded motion, where even the undisturbed loop is lost along it
+TRIES = 8            # number of designs that are tried in all cases
+FAR = 1.25           # times the smallest error out of reach: the largest error that a design may have there
+DRIFT = 0.01         # of the sensors' noise: smallest change of a disturbance per sample in the predicted error
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """One observer and its weights.   predicted: rms tracking error by the linear loop, of the reach.
-    against_twin: rms tracking error by case, of the reach; infinite where it got lost.
-    factors: of the noises of the recordings: states and inputs; disturbance, of the sensor; sensor.
+    """One observer and its weights.   predicted: rms tracking error of the linear loop, as a share of the reach.
+    against_twin: rms tracking error for each case, as a share of the reach; infinite for a lost loop.
+    factors: of the noises found from the recordings: states and inputs; disturbance, of the sensor; sensor.
     """
 
     factors: tuple[float, float, float]
@@ -57,9 +57,9 @@ class Design:
 
 @dataclass(frozen=True, eq=False)
 class WeightSearch:
-    """best; stable, safe: how many designs were stable, and kept all margins; count: of all; extra: samples of delay
-    that they had to stand; judged_by: "twin", or "margins" where every loop against the twin was lost. points: of the
-    margins.
+    """best: the chosen design.   stable, safe: number of stable designs, and of those with all margins.   count: of all
+    designs.   extra: samples of extra delay that they had to tolerate.   judged_by: "twin", or "margins" where every
+    loop against the twin was lost.   points: of the margins.
     """
 
     best: Design
@@ -117,18 +117,18 @@ def choose_weights(chosen: ChosenModel, actuator: Actuator, acted: Recordings, l
                    say: Callable[[str], None] = lambda line: None) -> WeightSearch:
     """Among the designs with margins at every point, the one with the least error against the disturbed twin.
 
-    The twin is run as it is and disturbed, along a recorded motion, and along one that is out of reach, where a good
-    design stays close and calm. Where none has all margins the most robust ones are tried, and where the twin loses
-    every loop it is no judge: the predicted error decides, and both are said.
+    The twin is run undisturbed and disturbed, along a recorded motion and along one that is out of reach, where a good
+    design stays close and calm. Where no design has all margins, the most robust ones are tried. Where every loop
+    against the twin is lost, the predicted error decides. The report says so in both cases.
     """
     candidates = _Candidates(chosen.model, actuator, acted, likelihood, noises)
     designs = candidates.all(tell)
     stable = [each for each in designs if each.margins.nominal < 1.0]
     if not stable:
-        raise ValueError(f"none of {len(designs)} observers and weights makes a stable loop with this model at "
-                         f"{len(candidates.points)} points of the recordings; its held-out error is "
-                         f"{100 * chosen.error:.3g} % of the reach: record longer or more slowly, or take another "
-                         "model")
+            raise ValueError(f"none of {len(designs)} observers and weights makes a stable loop with this model at "
+                             f"{len(candidates.points)} points of the recordings. The model's held-out error is "
+                             f"{100 * chosen.error:.3g} % of the reach. Record longer or more slowly, or use another "
+                             "model")
     safe = [each for each in stable if each.margins.shortfall(PEAK) < 1.0]
     say(f"designs: {len(stable)} of {len(designs)} stable, {len(safe)} with all margins "
         f"({1e3 * candidates.extra * actuator.timestep:g} ms more delay, half and twice the gain, sensitivity "
@@ -147,8 +147,8 @@ def choose_weights(chosen: ChosenModel, actuator: Actuator, acted: Recordings, l
 
 
 def _picked(designs: list[Design], safe: bool) -> list[Design]:
-    """The best of every pace of the disturbance and move weight: by predicted error where all margins hold, else by
-    margins.
+    """The best design for every change of the disturbance and move weight: by predicted error where all margins hold,
+    else by the margins.
     """
     best: dict[tuple[float, float], Design] = {}
     for each in sorted(designs, key=lambda each: each.predicted if safe else each.margins.shortfall(PEAK)):
@@ -157,12 +157,12 @@ def _picked(designs: list[Design], safe: bool) -> list[Design]:
 
 
 def _score(design: Design) -> float:
-    """Mean logarithm of the errors; a loop that got lost counts as the whole reach."""
+    """Mean logarithm of the errors; a lost loop counts as the whole reach."""
     return float(np.mean(np.log(np.minimum(list(design.against_twin.values()), 1.0))))
 
 
 class _Trial:
-    """Loops of designs against the twin, disturbed, along a recorded motion and along one that is out of reach."""
+    """Loops of designs against the disturbed twin, along a recorded motion and along one that is out of reach."""
 
     def __init__(self, chosen: ChosenModel, actuator: Actuator, acted: Recordings, likelihood: Likelihood,
                  noises: Noises, task: Task, tell: Callable[[int], None]):
@@ -173,7 +173,7 @@ class _Trial:
         self.far = recorded_motion(acted, task.tracked, scale=WIDER)
 
     def errors(self, design: Design, path: Task, cases: Sequence[Case], lost: float = LOST) -> list[float]:
-        """Of one controller along a path, in each of these cases."""
+        """The errors of one controller along a path, in each of these cases."""
         acted, found = self.acted, []
         controller = ModelPredictiveController(
             self.chosen.model, path, acted.bounds, timestep=acted.timestep, output_names=acted.output_names,
@@ -185,25 +185,28 @@ class _Trial:
         return found
 
     def disturbed(self, design: Design, cases: Sequence[Case] = CASES) -> Design:
-        """The design with its errors against the twin, disturbed in these ways; what is known is not run again."""
+        """The design with its errors against the twin in these cases. Known errors are not computed again."""
         known = design.against_twin
         new = [case for case in cases if case.name not in known]
         known = known | dict(zip((case.name for case in new), self.errors(design, self.motion, new)))
         return replace(design, against_twin={case.name: known[case.name] for case in cases})
 
     def _within_reach(self, design: Design) -> None:
-        """A smaller motion where the recorded one, which swings further than the robot stays, is lost as it is."""
+        """Choose a smaller motion where the undisturbed loop is lost along the recorded one.
+
+        A recorded motion may swing further than the robot can stay.
+        """
         for scale in LESS_FAR:
             if np.isfinite(self.errors(design, self.motion, CASES[:1])[0]):
                 return
             self.motion = recorded_motion(self.acted, self.names, scale=scale)
 
     def all(self, designs: list[Design]) -> list[Design]:
-        """Of the best designs those that stay close to a motion out of reach, with their errors."""
+        """The best designs that stay close to a motion out of reach, with their errors."""
         self._within_reach(designs[0])
         screened = [self.disturbed(each, [CASES[k] for k in SCREENED_BY]) for each in designs]
         designs = sorted(screened, key=_score)[:TRIES]
         far = [self.errors(each, self.far, CASES[:1], np.inf)[0] for each in designs]
-        # a twin that itself explodes out of reach is no judge there
+        # Where the twin itself diverges out of reach, it says nothing about the designs.
         allowed = FAR * min(far) if min(far) < 1.0 else np.inf
         return [self.disturbed(each) for each, error in zip(designs, far) if not error > allowed]

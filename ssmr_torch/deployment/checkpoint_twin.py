@@ -1,4 +1,4 @@
-"""The model of a checkpoint beside it, as FILE.safetensors, for who has no Torch."""
+"""A copy of a checkpoint's model beside it, as FILE.safetensors, which can be read without Torch."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ssmr_torch.models.base import Model
 
 
 def save_twin(checkpoint: str | Path, model: Model, card: dict) -> Path:
-    """Write the model and its card beside the checkpoint, whose hash is noted; see `load_twin`."""
+    """Write the model and its card beside the checkpoint, with the checkpoint's hash; read it with `load_twin`."""
     path = _twin(checkpoint)
     aside = path.with_name(f"{path.name}.{os.getpid()}.part")
     save_tables(aside, model, card=card, checkpoint=_sha256(checkpoint))
@@ -20,7 +20,7 @@ def save_twin(checkpoint: str | Path, model: Model, card: dict) -> Path:
 
 
 def load_twin(checkpoint: str | Path) -> tuple[Model, dict] | None:
-    """The model that lies beside a checkpoint, and its card; None where there is none, or the checkpoint is another."""
+    """The model copy beside a checkpoint, and its card; None where there is no copy, or where the hash differs."""
     path = _twin(checkpoint)
     if not (path.is_file() and Path(checkpoint).is_file()):
         return None

@@ -1,10 +1,10 @@
-"""Deployable forms of an artifact: written aside, checked against its model, then moved into its folder `deployed`.
+"""Writes deployable forms of an artifact: each is checked against the model, then moved into the folder `deployed`.
 
-    c       NAME.c, NAME.h                                  C99, of its arrays alone; and of a designed controller
-            NAME_controller.c, NAME_controller.h            the observer and the actuators
+    c       NAME.c, NAME.h                                  C99, from the model's arrays alone
+            NAME_controller.c, NAME_controller.h            only with a designed controller: its observer and actuators
     torch   encode.pt2, decode.pt2, step.pt2, step_jacobians.pt2     torch.export programs
     onnx    the same four as .onnx                          ONNX graphs, needs the extra `onnx`
-    casadi  NAME_encode.casadi, and likewise the other three         casadi.Function, needs the extra `casadi`
+    casadi  NAME_encode.casadi, and the other three likewise         casadi.Function, needs the extra `casadi`
 """
 
 from __future__ import annotations
@@ -30,32 +30,32 @@ FORMATS = ("c", "torch", "onnx", "casadi")
 MODULES = {"c": (), "torch": ("torch",), "onnx": ("torch", "onnx", "onnxruntime", "onnxscript"),
            "casadi": ("casadi",)}
 
-EXTRAS = {"torch": "train"}  # which extra brings the packages of a format, where it has another name
+EXTRAS = {"torch": "train"}  # the extra that installs a format's packages, where it is not named like the format
 
 
 CONTROLLER_TOLERANCE = 1e-12  # relative, over 200 samples of observer and actuators
 
 
 class Form(NamedTuple):
-    """A format, its files, and the largest relative difference from the model; None: it could not be checked."""
+    """A format, its files, and the largest relative difference from the model; None where it could not be checked."""
 
     format: str
     files: tuple[str, ...]
     error: float | None
 
     def __str__(self) -> str:
-        checked = ("NOT CHECKED, for no C compiler was found (cc, gcc, clang, or the one that CC names)"
+        checked = ("NOT CHECKED: no C compiler was found (cc, gcc, clang, or the program in the variable CC)"
                    if self.error is None else f"equal to the model within {self.error:.1e} relative")
         return f"{self.format}: {', '.join(self.files)}: {checked}"
 
 
 def deploy(directory: str | Path, formats: Sequence[str]) -> list[Form]:
-    """Write these forms of the artifact in a directory into its folder `deployed`; others that lie there stay.
+    """Write these formats of the artifact in a directory into its folder `deployed`. Other formats there are kept.
 
-    Each is run on the artifact's reference batch and must agree with its model within 1e-12 relative, or what rounding
-    leaves certain of the model itself (see `expected`). Nothing is replaced before all of them do. Raises ValueError
-    where one does not (with both numbers), for a format that does not exist, for one whose packages are missing, and
-    what `artifact.load` raises.
+    Each format is run on the artifact's reference batch and must agree with the model within 1e-12 relative, or within
+    ten times the model's own rounding where that is more (see `expected`). Files are replaced only after all formats
+    agree. Raises ValueError where one does not agree (with both numbers), for an unknown format, for a format whose
+    packages are missing, and where `artifact.load` does.
     """
     formats = list(dict.fromkeys(formats))
     _refuse_unavailable(formats)
@@ -75,12 +75,12 @@ def deploy(directory: str | Path, formats: Sequence[str]) -> list[Form]:
 def _refuse_unavailable(formats: Sequence[str]) -> None:
     unknown = [name for name in formats if name not in FORMATS]
     if unknown:
-        raise ValueError(f"no format {unknown[0]!r}; those that exist are {', '.join(FORMATS)}, as in "
+        raise ValueError(f"unknown format {unknown[0]!r}; expected some of {', '.join(FORMATS)}, such as "
                          "formats=[c,torch]")
     for name in formats:
         missing = [module for module in MODULES[name] if importlib.util.find_spec(module) is None]
         if missing:
-            raise ValueError(f"the format {name} needs {', '.join(missing)}; pip install "
+            raise ValueError(f"the format {name} needs {', '.join(missing)}: pip install "
                              f"'ssmr_torch[{EXTRAS.get(name, name)}]', or leave {name} out of the formats")
 
 
@@ -103,10 +103,10 @@ def _write_c(loaded: Artifact, batch: dict[str, np.ndarray], aside: Path) -> For
 
 
 def _write_c_controller(loaded: Artifact, aside: Path):
-    """The observer and the actuators of the controller that the artifact carries; None where it carries none."""
+    """C text of the observer and actuators of the artifact's controller; None where it has no controller."""
     if loaded.designed is None:
         return None
-    from ssmr_torch.deployment.c.controller import write_controller  # Numba, which a model alone does not need
+    from ssmr_torch.deployment.c.controller import write_controller  # needs Numba, which a model alone does not
 
     steering = write_controller(loaded.model, loaded.card, loaded.designed)
     if steering is not None:
@@ -116,7 +116,7 @@ def _write_c_controller(loaded: Artifact, aside: Path):
 
 
 def check_c_controller(steering, aside: Path, build: Path) -> float:
-    """Compiled observer and actuators against the package's; the largest relative difference.
+    """Compare the compiled observer and actuators with the Python ones; returns the largest relative difference.
 
     Raises ValueError, with both numbers, where it exceeds the tolerance.
     """
@@ -129,13 +129,14 @@ def check_c_controller(steering, aside: Path, build: Path) -> float:
     found = differences(CompiledController(ctypes.CDLL(str(build / "controller.so")), steering), steering)
     for what, error in zip(("the observer", "the actuators"), found):
         if not error <= CONTROLLER_TOLERANCE:
-            raise ValueError(f"c: {what} differs from the controller's by {error:.3g} relative, more than "
-                             f"{CONTROLLER_TOLERANCE:g}; nothing was replaced. Leave this format out, or report it")
+            raise ValueError(f"c: {what} differs from the controller's by {error:.3g} relative; at most "
+                             f"{CONTROLLER_TOLERANCE:g} is allowed. No file was replaced. Leave c out of the formats, "
+                             "or report this as an error of the package")
     return max(found)
 
 
 def check_c(library: CLibrary, model, batch: dict[str, np.ndarray]) -> float:
-    """Every function of a compiled model against the model; the largest relative difference."""
+    """Compare every function of a compiled model with the model; returns the largest relative difference."""
     z, u, sought = batch["state"], batch["input"], expected(model, batch)
     y, C = library.decode_jacobian(z)
     following, A, B = library.step_jacobians(z, u)

@@ -1,4 +1,4 @@
-"""ONNX graphs of a model: double everywhere, with the artifact's card, run by onnxruntime."""
+"""ONNX graphs of a model: everything in float64, with the artifact's card inside, run by onnxruntime."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ FLOATS = {TensorProto.DataType.Value(name) for name in ("FLOAT", "FLOAT16", "BFL
 
 
 def finish(path: Path, card: dict) -> None:
-    """Put the artifact's card into a graph's metadata (key "card") and name its batch dimension.
+    """Write the artifact's card into the metadata of a graph (key "card") and name its batch dimension.
 
-    Raises ValueError where anything in the graph is a float of less than 64 bits.
+    Raises ValueError where a float in the graph has less than 64 bits.
     """
     model = onnx.load(path)
     onnx.checker.check_model(model, full_check=True)
     narrow = narrow_floats(model)
     if narrow:
-        raise ValueError(f"{path.name} holds {', '.join(narrow[:3])} of less than 64 bits; nothing was replaced. Leave "
-                         "onnx out of the formats, or report the model")
+        raise ValueError(f"{path.name} holds {', '.join(narrow[:3])} with less than 64 bits. No file was replaced. "
+                         "Leave onnx out of the formats, or report this as an error of the package")
     for value in (*model.graph.input, *model.graph.output):
         value.type.tensor_type.shape.dim[0].dim_param = "batch"
-    del model.graph.value_info[:]  # of intermediate values, which would name the batch dimension otherwise
+    del model.graph.value_info[:]  # intermediate values, which would give the batch dimension other names
     onnx.helper.set_model_props(model, {"card": json.dumps(card)})
     onnx.save(model, path)
 
 
 def narrow_floats(model: onnx.ModelProto) -> list[str]:
-    """Names of the inputs, outputs, tables and values in a graph that are floats of less than 64 bits."""
+    """Names of inputs, outputs, tables and values of a graph that are floats of less than 64 bits."""
     graph = onnx.shape_inference.infer_shapes(model).graph
     found = [each.name for each in (*graph.input, *graph.output, *graph.value_info)
              if each.type.tensor_type.elem_type in FLOATS]
@@ -46,7 +46,7 @@ def narrow_floats(model: onnx.ModelProto) -> list[str]:
 
 
 def run_graph(path: Path, batch: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What a graph makes of a batch, by the names of its outputs; of the batch it takes what it needs."""
+    """The outputs of a graph for a batch, by name. The graph takes only the entries that it needs."""
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     found = session.run(None, {each.name: batch[each.name] for each in session.get_inputs()})
     return dict(zip((each.name for each in session.get_outputs()), found))

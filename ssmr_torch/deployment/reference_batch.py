@@ -1,4 +1,4 @@
-"""What a deployed form must agree on with the model it was made from, and how closely."""
+"""How a deployed form is checked: its results on the reference batch must agree with the model's within a tolerance."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from ssmr_torch.models.base import Model
 from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
 
 TOLERANCE = 1e-12
-ROUNDING = 10.0  # how many times what rounding of its arrays does to the model's own answer a form may differ
+ROUNDING = 10.0  # allowed difference, as a multiple of the change that rounding the model's arrays makes
 
 
 class Signature(NamedTuple):
-    """What a function of a deployed model takes, by the names in an artifact's reference batch, and what it gives."""
+    """Arguments and results of a function of a deployed model, by their names in the reference batch."""
 
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
@@ -27,18 +27,18 @@ SIGNATURES = {"encode": Signature(("window", "window_input"), ("z",)), "decode":
 
 
 class Sought(NamedTuple):
-    """What the model computes, and the largest difference allowed, relative to its largest entry."""
+    """The result of the model, and the largest allowed difference, relative to its largest entry."""
 
     values: np.ndarray
     tolerance: float
 
 
 def expected(model: Model, batch: dict[str, np.ndarray]) -> dict[str, Sought]:
-    """What the model makes of an artifact's reference batch: encode, decode, step, A, B, C, and, with "horizon " before
-    them, states, A, B, outputs, C along `horizon_inputs`.
+    """The model's results on an artifact's reference batch: encode, decode, step, A, B, C, and, with "horizon " before
+    their names, states, A, B, outputs, C along `horizon_inputs`.
 
-    The tolerance is 1e-12, or ten times what the last bit of its arrays changes in the answer where that is more: a
-    Kalman filter may not be determined any better.
+    The tolerance is 1e-12. It is ten times the change of the result under a change of the arrays' last bit where that
+    is more: the result of a Kalman filter may be less well determined.
     """
     rng = np.random.default_rng(0)
     moved = model.with_arrays(lambda array: array * (1 + 2.0 ** -52 * rng.choice([-1, 1], array.shape)))
@@ -49,28 +49,29 @@ def expected(model: Model, batch: dict[str, np.ndarray]) -> dict[str, Sought]:
 
 
 def horizon_inputs(model: Model, batch: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """The first state (n,) of the batch, and its inputs (H, m) one after the other, up to where the model diverges."""
+    """The first state (n,) of the batch, and its inputs (H, m) in a row, up to where the model diverges."""
     z, inputs = batch["state"][0], batch["input"]
-    with np.errstate(over="ignore", invalid="ignore"):  # of a rollout that diverges
+    with np.errstate(over="ignore", invalid="ignore"):  # a rollout that diverges
         norm = np.linalg.norm(model.states(z, inputs), axis=-1)
     inside = np.isfinite(norm) & (norm <= DIVERGENCE_FACTOR * np.linalg.norm(model.state_scale))
     return z, inputs if inside.all() else inputs[:max(0, int(inside.argmin()) - 1)]
 
 
 def check(form: str, comparisons: Iterable[tuple[str, np.ndarray, Sought]]) -> float:
-    """The largest difference of (name, found, sought), relative to the largest entry of what is sought.
+    """The largest difference between found and sought in (name, found, sought), relative to the largest sought entry.
 
-    Raises ValueError where one exceeds its tolerance, or a shape differs.
+    Raises ValueError where one exceeds its tolerance, or where shapes differ.
     """
     largest = 0.0
     for name, found, (values, tolerance) in comparisons:
         if found.shape != values.shape:
-            raise ValueError(f"{form}: {name} has shape {found.shape}, the model's is {values.shape}; nothing was "
-                             "replaced")
+            raise ValueError(f"{form}: {name} has the shape {found.shape}; expected {values.shape}, as the model gives "
+                             "it. No file was replaced")
         error = _difference(found, values)
         if not error <= tolerance:
-            raise ValueError(f"{form}: {name} differs from the model's by {error:.3g} relative, more than "
-                             f"{tolerance:.3g}; nothing was replaced. Leave this format out, or report the model")
+            raise ValueError(f"{form}: {name} differs from the model's by {error:.3g} relative; at most "
+                             f"{tolerance:.3g} is allowed. No file was replaced. Leave this format out, or "
+                             "report this as an error of the package")
         largest = max(largest, error)
     return largest
 

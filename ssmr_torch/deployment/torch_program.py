@@ -1,4 +1,4 @@
-"""A model as torch.export programs with a dynamic batch size, and these as ONNX graphs."""
+"""A model as torch.export programs with any batch size, and these programs as ONNX graphs."""
 
 from __future__ import annotations
 
@@ -61,11 +61,11 @@ class StepJacobians(nn.Module):
 
     def forward(self, state: Tensor, input: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         following, A, B = self.model.reduced.step_jacobians(state, input)
-        return following, A + 0.0, B + 0.0  # a table that is the same for the whole batch, copied
+        return following, A + 0.0, B + 0.0  # copied: a table may be the same for the whole batch
 
 
 class DoubleConstants(TorchFunctionMode):
-    """Numbers in arithmetic become float64 tensors: as plain numbers, the way to ONNX rounds them to float32."""
+    """Turns numbers in arithmetic into float64 tensors. The ONNX exporter would round plain numbers to float32."""
 
     def __torch_function__(self, func, types, args=(), kwargs=None):
         if getattr(func, "__name__", "") in self.ARITHMETIC:
@@ -80,14 +80,14 @@ FUNCTIONS = {"encode": Encode, "decode": Decode, "step": Step, "step_jacobians":
 
 
 def programs(model: Model, batch: dict[str, np.ndarray]) -> dict[str, ExportedProgram]:
-    """The programs of `SIGNATURES`, float64; batch: arrays by whose shapes they are traced, any batch size serves."""
+    """The programs of `SIGNATURES`, float64. batch: arrays with the shapes for tracing; the size does not matter."""
     module, size, exported = FixedModel(model).eval(), Dim("batch"), {}
     for name, (inputs, _) in SIGNATURES.items():
         arguments = {key: torch.from_numpy(batch[key]) for key in inputs}
         with _quiet(), torch.no_grad(), DoubleConstants():
             exported[name] = torch.export.export(FUNCTIONS[name](module), (), arguments,
                                                  dynamic_shapes={key: {0: size} for key in inputs}, strict=False)
-        exported[name].graph.eliminate_dead_code()  # such as a walk over no hidden layers, which cannot be stored
+        exported[name].graph.eliminate_dead_code()  # for example a loop over no hidden layers, which cannot be stored
         exported[name].graph_module.recompile()
     return exported
 
@@ -98,7 +98,7 @@ def save_program(program: ExportedProgram, path: Path, card: dict) -> None:
 
 
 def run_program(path: Path, name: str, *batches: dict[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
-    """What the function `name` stored in a .pt2 file makes of each batch, by the names of its outputs."""
+    """The outputs of the function `name` in a .pt2 file for each batch, by name."""
     function = torch.export.load(path).module()
     return [_run(function, SIGNATURES[name], batch) for batch in batches]
 
@@ -117,7 +117,7 @@ def save_onnx(program: ExportedProgram, path: Path, name: str) -> None:
 
 @contextmanager
 def _quiet():
-    """Without what the exporters say of themselves."""
+    """Suppress the messages of the exporters."""
     loggers = [logging.getLogger(name) for name in ("torch.onnx._internal.exporter._registration", "onnx_ir",
                                                        "onnxscript")]
     levels = [logger.level for logger in loggers]

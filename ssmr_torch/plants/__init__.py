@@ -1,10 +1,10 @@
-"""Robots that the package simulates, and one on another machine; each offers what `Plant` describes.
+"""Plants: robots that the package simulates, and a robot on another computer. Each one offers what `Plant` describes.
 
-    plant = ssmr_torch.plants.Trunk()        # silicone, eight cables, in finite elements; also Diamond
+    plant = ssmr_torch.plants.Trunk()        # silicone with eight cables, by finite elements; also Diamond
     plant = ssmr_torch.plants.SlowManifold() # analytic: its spectral submanifold is known in closed form
-    plant = ssmr_torch.plants.TendonChain()  # by MuJoCo; four more: docs/foreign_robots.md
-    plant = ssmr_torch.plants.Rig(plant, noise_std=1e-4, sensor_delay=0.02)   # the same with a bench's faults
-    plant = ssmr_torch.plants.RemotePlant("tcp://0.0.0.0:5555")               # waits for a robot to connect
+    plant = ssmr_torch.plants.TendonChain()  # by MuJoCo; for four more robots see docs/foreign_robots.md
+    plant = ssmr_torch.plants.Rig(plant, noise_std=1e-4, sensor_delay=0.02)   # the same robot with noise and delay
+    plant = ssmr_torch.plants.RemotePlant("tcp://0.0.0.0:5555")               # waits until a robot connects
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""What every plant offers, be it analytic, finite-element or real."""
+"""The interface of every plant: an analytic robot, a finite-element robot or a real one."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ssmr_torch.data_sheet import DataSheet
 class Plant(Protocol):
     """A robot that is sampled every `timestep` s and holds its input in between.
 
-    An observation is (p,), the displacement of the observed points from rest, m; an input is (m,), `input_unit`.
-    name: of the robot, as reports call it. input_bounds: (2, m), lowest and highest input. rest: (p,) absolute
-    position of the origin of the observation.
-    A plant may have a `neutral_input` (m,), under which it is left alone; else that is the admissible input nearest to
-    zero.
+    An observation is (p,) m, the displacement of the observed points from rest; an input is (m,), in `input_unit`.
+    name: of the robot, for reports. input_bounds: (2, m), lowest and highest input. rest: (p,) m, absolute position of
+    the observed points at rest.
+    A plant may have a `neutral_input` (m,), the input under which it is left alone. Without it, the neutral input is
+    the admissible one nearest to zero.
     """
 
     name: str
@@ -30,26 +30,26 @@ class Plant(Protocol):
     rest: np.ndarray
 
     def reset(self, seed: int | None = None, state: np.ndarray | None = None) -> np.ndarray:
-        """Go to `state` (default: rest) and return the observation there; `seed` fixes all randomness after it."""
+        """Go to `state` (default: rest) and return the observation there. `seed` fixes all later randomness."""
 
     def step(self, input: np.ndarray) -> np.ndarray:
         """Hold `input` for one timestep and return the observation at its end.
 
-        An input out of bounds is clipped to them; one of wrong size or with non-finite values raises ValueError and
-        leaves the state unharmed.
+        An input out of bounds is clipped. An input of the wrong size or with non-finite values raises ValueError and
+        leaves the state as it was.
         """
 
     @property
     def state(self) -> np.ndarray:
-        """The full state; `reset(state=...)` returns to it exactly."""
+        """The full state. `reset(state=...)` returns to it exactly."""
 
     @property
     def displacement(self) -> np.ndarray:
-        """(p,), where the observed points truly are now, m; the observation of an ideal plant."""
+        """(p,) m, the true displacement of the observed points; for an ideal plant it equals the observation."""
 
 
 class PlantSheet(DataSheet):
-    """Lets a plant print itself."""
+    """The data sheet that a plant prints of itself."""
 
     def data_sheet(self) -> tuple[str, dict]:
         lowest, highest = self.input_bounds
@@ -72,7 +72,7 @@ def finite_vector(value: np.ndarray, size: int, name: str) -> np.ndarray:
 
 
 def input_range(bounds, count: int, unit: str) -> np.ndarray:
-    """Bounds (2,) or (2, m) as (2, m). Raises ValueError unless finite and the lowest below the highest."""
+    """Bounds (2,) or (2, m) as (2, m). Raises ValueError unless they are finite, the lowest below the highest."""
     array = np.array(bounds, dtype=np.float64)
     if array.shape not in ((2,), (2, count)):
         raise ValueError(f"input_bounds has shape {array.shape}; expected (2,) or (2, {count}), "

@@ -1,4 +1,4 @@
-"""A soft Cosserat rod that signed forces push at its tip, simulated by PyElastica."""
+"""A soft Cosserat rod with signed forces at its tip, simulated by PyElastica."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ STATE = ("position_collection", "director_collection", "velocity_collection", "o
 
 
 class CosseratRod(FlatStatePlant):
-    """A rod that hangs from a clamp; bending, twist, shear and stretch are all free (Gazzola et al., 2018).
+    """A rod that hangs from a clamp and may bend, twist, shear and stretch (Gazzola et al., 2018).
 
         ρA ∂v/∂t = ∂n/∂s + ρA g − c_t v + f δ(s − L),   ∂(ρI ω)/∂t = ∂m/∂s + r' × n − c_r ω + …,
 
-    n = S (strain) and m = EI, GJ (curvature) in the frame that the section carries, by PyElastica's elements and
-    position Verlet. f: (2,) N, horizontal, either way.
+    n = S (strain) and m = EI, GJ (curvature) in the frame of the section, with PyElastica's elements and position
+    Verlet. f: (2,) N, horizontal, of either sign.
 
-    elements: n.   length, radius: m.   density: kg/m³, silicone.   young: Pa, a soft one; shear modulus young / 3.
-    drag c_t: N s/m², slows all modes alike.   turning_drag c_r: N s, slows each mode by its slope squared, as the loss
-    within a silicone does; both act as exact exponentials.   substep: s; the fastest shear mode allows 0.5 ms.
-    payload: kg, at the tip.   input_bounds: N, signed.   state: (18 n + 6,), positions (3, n + 1), sections' frames
-    (3, 3, n), velocities (3, n + 1), turning (3, n).   Outputs: tip and middle, z up, from the clamp.   Needs the
-    extra `robots`.
+    elements: n.   length, radius: m.   density: kg/m³, of silicone.   young: Pa, of a soft silicone; the shear modulus
+    is young / 3.   drag c_t: N s/m², damps all modes alike.   turning_drag c_r: N s, damps each mode by its slope
+    squared, like the loss inside a silicone; both act as exact exponentials.   substep: s; the fastest shear mode
+    allows 0.5 ms.   payload: kg, at the tip.   input_bounds: N, signed.   state: (18 n + 6,), positions (3, n + 1),
+    frames of the sections (3, 3, n), velocities (3, n + 1), angular velocities (3, n).   Outputs: tip and middle, z
+    up, from the clamp.   Needs the extra `robots`.
     """
 
     name, input_unit, ENGINE = "Cosserat rod", "N", ("_simulator", "_rod", "_stepper", "_force")
@@ -88,7 +88,7 @@ class CosseratRod(FlatStatePlant):
         self._simulator.finalize()
 
     def _hanging(self) -> np.ndarray:
-        """At rest each element carries the weight N below it, S (e − 1) / e = N with its stretch e."""
+        """The rod at rest: each element carries the weight N below it, S (e − 1) / e = N with the stretch e."""
         rod = self._rod
         below = np.cumsum(rod.mass[:0:-1])[::-1] * self.parameters["gravity"]
         stretch = 1 / (1 - below / rod.shear_matrix[2, 2])

@@ -16,11 +16,11 @@ from ssmr_torch.plants.finite_element.structure import Mechanics
 SILICONE = Mechanics(young=175e3, poisson=0.45, mass=0.45, mass_damping=2.5, stiffness_damping=0.01,
                      gravity=(0.0, 0.0, -9.81))
 CLAMP = (-0.015, -0.015, -0.040), (0.015, 0.015, 0.010)  # m
-# The authors' tip node lies at (-4.8, 1.6, 125.4) mm, ours at (0, 0, 125.7): this point is nearest to either.
+# The authors' tip node lies at (-4.8, 1.6, 125.4) mm, ours at (0, 0, 125.7). This point is nearest to both.
 MARKERS = MappingProxyType({"tip": (-0.0035, 0.001, 0.1255), "elbow1": (0.0, 0.097, 0.046),
                             "elbow2": (-0.097, 0.0, 0.046), "elbow3": (0.0, -0.097, 0.046),
                             "elbow4": (0.097, 0.0, 0.046)})
-# Mesh files stand on the side: the robot's z is their y.
+# The mesh files lie on the side: their y is the robot's z.
 ROTATION = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 RAISED = (0.0, 0.0, 0.035)  # m
 ATTACHMENTS = np.array([[0.0, 0.097, 0.045], [-0.097, 0.0, 0.045], [0.0, -0.097, 0.045], [0.097, 0.0, 0.045]])  # m
@@ -31,10 +31,10 @@ INPUTS = ("cable1", "cable2", "cable3", "cable4")
 class Diamond(FiniteElementRobot):
     """A frame of silicone, 200 mm wide and 160 mm high, standing on its clamped base (paper, Fig. 2).
 
-    mesh: of this package, or a file in the orientation of the authors'.   length_unit: of the file.
-    Elbows and their cables count from +y over −x and −y to +x; the cables end at points in space above the base.
-    input: their tensions, N.
-    mechanics: changes of `SILICONE` by name.   The rest is as in `FiniteElementRobot`.
+    mesh: name of a mesh of this package, or a file in the orientation of the authors' mesh.   length_unit: of the file.
+    Elbows and their cables are counted from +y over −x and −y to +x. The cables end at fixed points above the base.
+    input: tensions of the cables, N.
+    mechanics: changes of `SILICONE`, by name.   Everything else is as in `FiniteElementRobot`.
     """
 
     @configurable(SILICONE)

@@ -1,4 +1,4 @@
-"""What a real rig adds to an ideal plant: slow, limited, rubbing actuators and a late, lossy, noisy measurement."""
+"""An emulated rig: a plant with slow and limited actuators, cable friction, sensor delay, lost samples and noise."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from ssmr_torch.plants.emulated_actuators import EmulatedActuators, Forces
 from ssmr_torch.settings import non_negative
 
 DROPPED = ("held", "missing")
-# Sets the rig's random numbers apart from those that others draw with the same seed.
+# Keeps the rig's random numbers different from other random numbers with the same seed.
 STREAM = 0x726967
 
 
 class Rig(PlantSheet):
-    """A plant with the actuators and sensors of a bench, each part off by default: u → actuators → plant → sensors → y.
+    """A plant with actuators and sensors, each part off by default: u → actuators → plant → sensors → y.
 
     Actuators: see `EmulatedActuators`, which gives the forces T that act on the plant.
 
@@ -26,26 +26,27 @@ class Rig(PlantSheet):
 
         y_k = observation of sample k - sensor_delay / h + white noise, or, with drop_probability, what `dropped` says.
 
-    Before reset the robot rested where reset puts it. Sample 0 always arrives. Noise belongs to what newly arrives.
+    Before the reset the robot was at the state of the reset. Sample 0 always arrives. A repeated sample has no new
+    noise.
 
-    noise_std: of every observed value, m.   sensor_delay: s, a multiple of h.   drop_probability: in [0, 1).
-    dropped: "held" repeats the last sample that arrived to the last digit, "missing" gives NaN.
-    actuator_lag: time constant, s.   cable_friction: μθ, 1; for inputs that only pull.
-    outputs: names of what the sensors see, in this order; None for all that the plant offers.
-    rate_limit: input unit per s.   saturation: highest force reached, either way, input unit, within the bounds.
-    Both are one number or (m,), None for no limit.
-    state: the plant's, then sample number, a, x, T, observations on their way (oldest first), last sample that
-    arrived, whether the newest was dropped.
+    noise_std: m, of every observed value.   sensor_delay: s, a multiple of h.   drop_probability: in [0, 1).
+    dropped: "held" repeats the last sample that arrived exactly, "missing" gives NaN.
+    actuator_lag: s, time constant.   cable_friction: μθ, 1; only for inputs that pull.
+    outputs: names of the outputs that the sensors measure, in this order; None: all outputs of the plant.
+    rate_limit: input unit per s.   saturation: largest force, of either sign, input unit, within the bounds. Both are
+    one number or (m,); None: no limit.
+    state: the plant's state, then sample number, a, x, T, delayed observations (oldest first), the last sample that
+    arrived, and whether the newest sample was dropped.
     All random numbers follow from the seed given to `reset` (None is 0) and the number of the sample.
-    Raises ValueError for settings out of these ranges, and for a plant that is on a rig already.
+    Raises ValueError for settings out of these ranges, and for a plant that is already on a rig.
     """
 
     def __init__(self, plant: Plant, *, noise_std: float = 0.0, sensor_delay: float = 0.0,
                  drop_probability: float = 0.0, dropped: str = "held", actuator_lag: float = 0.0, rate_limit=None,
                  saturation=None, cable_friction: float = 0.0, outputs=None):
         if isinstance(plant, Rig):
-            raise ValueError(f"the plant is {plant.name!r} already; expected one without, as both would draw the same "
-                             "random numbers: give all settings to one rig")
+            raise ValueError(f"the plant is already {plant.name!r}; expected a plant without a rig, because two rigs "
+                             "would draw the same random numbers: give all settings to one rig")
         if dropped not in DROPPED:
             raise ValueError(f"dropped is {dropped!r}; expected one of {DROPPED}")
         self.plant, self.name = plant, f"{plant.name} on a rig"
@@ -65,7 +66,7 @@ class Rig(PlantSheet):
 
     @property
     def parameters(self) -> dict:
-        """The constructor's arguments, as plain values; of the plant its class and its own parameters."""
+        """The constructor's arguments as plain values; for the plant its class and its own parameters."""
         kind = type(self.plant)
         return {"plant": {"class": f"{kind.__module__}.{kind.__qualname__}",
                           "parameters": getattr(self.plant, "parameters", {})},
@@ -76,7 +77,7 @@ class Rig(PlantSheet):
 
     @property
     def origin(self) -> dict:
-        """What the plant was made from, beyond its parameters, where it says so."""
+        """What else the plant was made from, beyond its parameters, if the plant tells it."""
         return getattr(self.plant, "origin", {})
 
     @property
@@ -85,7 +86,7 @@ class Rig(PlantSheet):
 
     @property
     def applied(self) -> np.ndarray:
-        """(m,), the forces that reached the plant in the last step; after a reset those it rests under."""
+        """(m,), the forces on the plant in the last step; after a reset the forces at rest."""
         return self._memory.forces.transmitted.copy()
 
     @property
@@ -95,7 +96,7 @@ class Rig(PlantSheet):
                                *memory.queue, memory.arrived, [memory.lost]])
 
     def reset(self, seed: int | None = None, state: np.ndarray | None = None) -> np.ndarray:
-        """Go to `state`, and return again what was returned there, or to rest with a first measurement of it."""
+        """Go to `state` and return the same observation as there; without `state` go to rest and measure."""
         seed = 0 if seed is None else seed
         key = _key(seed)
         if state is None:
@@ -107,7 +108,7 @@ class Rig(PlantSheet):
         return self._sample()
 
     def step(self, input: np.ndarray) -> np.ndarray:
-        """Command the inputs (m,) for one timestep, clipped to the bounds; a misfit raises ValueError."""
+        """Apply the command (m,) for one timestep, clipped to the bounds. Raises ValueError for a wrong size."""
         memory = self._memory
         u = finite_vector(input, len(self.input_names), "input")
         forces = self.actuators.step(memory.forces, u)
@@ -119,11 +120,11 @@ class Rig(PlantSheet):
         return self._sample()
 
     def _draw(self, key: np.ndarray, sample: int) -> tuple[bool, np.ndarray | float]:
-        """Whether a sample is lost, and its noise (p,), m."""
+        """Whether the sample is lost, and its noise (p,), m."""
         if not (self.noise_std or self.drop_probability):
             return False, 0.0
         rng = np.random.Generator(np.random.Philox(key=key, counter=[0, sample, 0, 0]))
-        # Both are drawn whatever the settings: neither changes the other's numbers.
+        # Both are always drawn, so that no setting changes the other's random numbers.
         lost, noise = rng.random() < self.drop_probability, rng.standard_normal(len(self.output_names))
         return lost, self.noise_std * noise
 
@@ -138,7 +139,7 @@ class Rig(PlantSheet):
         return self._memory.arrived.copy()
 
     def _read(self, state: np.ndarray) -> tuple[np.ndarray, _Memory]:
-        """The plant's state and the memory in a flat state."""
+        """The plant's state and the rig's memory, from a flat state."""
         m, p = len(self.input_names), len(self.output_names)
         ends = np.cumsum([self.plant.state.size, 1, m, m, m, self._delay * p, p, 1])
         vector = finite_vector(state, ends[-1], "state")
@@ -151,7 +152,7 @@ class Rig(PlantSheet):
 
 
 class _Memory(NamedTuple):
-    """What a rig carries from sample to sample."""
+    """The values that a rig keeps from sample to sample."""
 
     sample: int
     forces: Forces
@@ -162,7 +163,7 @@ class _Memory(NamedTuple):
 
 @configurable(Rig)
 def rig(plant: Plant, **settings) -> Plant:
-    """The plant on a Rig with these settings, or the plant itself where they leave every part off."""
+    """The plant on a Rig with these settings; the plant itself where the settings leave every part off."""
     built = Rig(plant, **settings)
     off = Rig(plant, dropped=built.dropped)
     return plant if built.parameters == off.parameters else built
@@ -172,7 +173,7 @@ def _columns(outputs, plant: Plant) -> list[int]:
     names = list(plant.output_names)
     outputs = names if outputs is None else list(outputs)
     if not outputs or len(set(outputs)) < len(outputs) or not set(outputs) <= set(names):
-        raise ValueError(f"outputs are {outputs}; expected some of {names}, each once")
+        raise ValueError(f"outputs are {outputs}; expected some of {names}, each only once")
     return [names.index(output) for output in outputs]
 
 

@@ -1,4 +1,4 @@
-"""A plant whose whole state is one vector: what every such plant does alike."""
+"""Base class of plants whose whole state is one vector."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ LEAST_FACTOR, LEAST_RATE = 1e-9, 1e-2  # 1, 1/s
 class FlatStatePlant(PlantSheet):
     """x⁺ = flow(x, u), y = observe(x) − observe(x_rest), with u held for one timestep and clipped to the bounds.
 
-    A subclass sets what `Plant` names and `substeps`, of which its flow makes a timestep; it gives `_flow` and
-    `_observe`, functions of their arguments alone, so that nothing else has to be saved, and calls `_settle` with the
-    state at rest. Nothing is random: seeds have no effect. Where another package simulates, `_build` makes its
-    objects, named in `ENGINE`; copies, and processes that record, build their own.
+    A subclass sets the attributes of `Plant` and `substeps`, the number of parts of a timestep. It gives `_flow` and
+    `_observe`, which depend only on their arguments, so that the state is all that has to be saved. It calls `_settle`
+    with the state at rest. Nothing is random: seeds have no effect. Where another package simulates, `_build` makes its
+    objects, which are named in `ENGINE`; copies and parallel processes build their own.
     """
 
     ENGINE: tuple[str, ...] = ()
@@ -36,11 +36,11 @@ class FlatStatePlant(PlantSheet):
 
     @abstractmethod
     def _flow(self, state: np.ndarray, u: np.ndarray, substeps: int) -> np.ndarray:
-        """The state (n,) after so many substeps, u (m,) within the bounds."""
+        """The state (n,) after this number of substeps, with u (m,) within the bounds."""
 
     @abstractmethod
     def _observe(self, state: np.ndarray) -> np.ndarray:
-        """(p,), where the observed points are, m."""
+        """(p,) m, the positions of the observed points."""
 
     def _settle(self, resting: np.ndarray) -> None:
         self._resting = np.array(resting, dtype=np.float64)
@@ -56,26 +56,26 @@ class FlatStatePlant(PlantSheet):
         return self._observe(self._state) - self.rest
 
     def reset(self, seed: int | None = None, state: np.ndarray | None = None) -> np.ndarray:
-        """Go to `state` (default: rest); nothing here is random, so `seed` has no effect."""
+        """Go to `state` (default: rest). `seed` has no effect, because nothing is random."""
         self._state = self._resting.copy() if state is None else finite_vector(state, self._resting.size, "state")
         return self.displacement
 
     def step(self, input: np.ndarray) -> np.ndarray:
-        """Hold the inputs (m,) for one timestep, clipped to the bounds; a misfit raises ValueError."""
+        """Hold the inputs (m,) for one timestep, clipped to the bounds. Raises ValueError for a wrong size."""
         u = np.clip(finite_vector(input, len(self.input_names), "input"), *self.input_bounds)
         state = self._flow(self._state, u, self.substeps)
         if not np.isfinite(state).all():
-            raise ValueError(f"{self.name} diverged under the inputs {u.tolist()} {self.input_unit}; the state before "
-                             "the step stands; expected finite motion: lower the inputs or the timestep")
+            raise ValueError(f"{self.name} diverged under the inputs {u.tolist()} {self.input_unit}; the robot keeps "
+                             "the state before this step. Lower the inputs or the timestep")
         self._state = state
         return self.displacement
 
     @property
     def eigenvalues(self) -> np.ndarray:
-        """(12,) of the linearization at rest, 1/s, slowest first, of the map over one substep, differenced centrally.
+        """(12,) 1/s, of the map over one substep, linearized at rest by central differences, slowest first.
 
-        What is no motion is left out: states that a step forgets altogether, and those that it never changes, as where
-        a frame is not quite orthonormal.
+        Eigenvalues that belong to no motion are left out: of states that one step forgets completely, and of states
+        that it never changes, such as a frame that is not quite orthonormal.
         """
         rest, still = self._resting, np.clip(0.0, *self.input_bounds)
         columns = [(self._flow(rest + shift, still, 1) - self._flow(rest - shift, still, 1)) / (2 * DIFFERENCE)

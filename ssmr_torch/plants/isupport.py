@@ -1,4 +1,4 @@
-"""The I-SUPPORT arm of two pneumatic sections, with the parameters that were identified on the real one."""
+"""The I-SUPPORT arm: two pneumatic sections, with the parameters that were identified on the real arm."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ INPUTS = tuple(f"{section}_chamber_{number}" for section in ("upper", "lower") f
 
 
 class ISupport(SoromoxRobot):
-    """434 mm that hang, two sections of constant curvature and stretch, each with three chambers that push.
+    """An arm of 434 mm that hangs: two sections that bend and stretch uniformly, each with three chambers that push.
 
-    The equation is that of `SoromoxRobot`; a section neither shears nor twists. Each chamber lies 20 mm from the middle
-    and pushes with its pressure times π 6.39² mm². Masses, springs and dampers by soromox, whose example of this arm
-    has the values identified on the real, printed one (geometry: Alessi, Falotico, Lucantonio, IEEE Access 11, 2023):
+    The equation is that of `SoromoxRobot`; a section neither shears nor twists. Each chamber is 20 mm away from the
+    middle line and pushes with its pressure times π 6.39² mm². Masses, springs and dampers are soromox's; its example
+    of this arm has the values identified on the real, printed arm (geometry: Alessi, Falotico, Lucantonio, IEEE Access
+    11, 2023):
 
-    young: Pa.   viscosity: Pa s.   density: kg/m³ of the chambers' walls, which stand for all that moves with them.
-    pressure_lag: s, of a low-pass at 2.8 Hz, identified as well.   input_bounds: Pa; of 3 bar sent to them the
-    real chambers held some 2.3.   state: (18,), strains, their rates and the pressures.   Outputs: end of either
+    young: Pa.   viscosity: Pa s.   density: kg/m³ of the walls of the chambers, with everything that moves with them.
+    pressure_lag: s, of a low-pass at 2.8 Hz, identified as well.   input_bounds: Pa; when 3 bar were commanded, the
+    real chambers held about 2.3.   state: (18,), strains, their rates and the pressures.   Outputs: end of each
     section, z down, from the base.
     Needs the extra `robots`.
     """

@@ -1,4 +1,4 @@
-"""The planar robot of handed shearing auxetics, with the parameters that were identified on the real one."""
+"""The planar robot of handed shearing auxetics, with the parameters that were identified on the real robot."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 from ssmr_torch.plants.base import input_range
 from ssmr_torch.plants.soromox_robot import SoromoxRobot
 
-RODS = 2                  # each stands for a pair, one behind the other, that turns together
+RODS = 2                  # each stands for a pair of rods, one behind the other, that turn together
 GRAVITY = (0.0, 9.81)     # m/s², y down
 WIDTH = 80e-3             # m, of the platform
-LARGEST_TWIST = 3.49      # rad, 200 deg; soromox keeps it and does not apply it
+LARGEST_TWIST = 3.49      # rad, 200 deg; soromox stores it but does not apply it
 GEOMETRY = {              # m, per segment
     "length": 59e-3, "proximal_cap_length": 25e-3, "distal_cap_length": 14e-3}
 PER_ROD = {
     "rod_height": 1.0, "rod_outer_radius": 12.7e-3, "rod_inner_radius": 10.27e-3,  # handedness, m, m
     "strain_coupling": 0.00984819}                                                 # m/rad
-PER_PAIR = {              # of one rod of polyurethane, identified; doubled for the pair
+PER_PAIR = {              # identified for one rod of polyurethane, doubled for the pair
     "rod_density": 798.38,                                                         # kg/m³
     "nominal_bending_stiffness": 5.71346377e-4, "nominal_shear_stiffness": 0.591462074,      # N m², N
     "nominal_axial_stiffness": 5.66472469, "bending_shear_stiffness": 4.48419541e-3,         # N, N m
@@ -29,18 +29,19 @@ OUTPUTS = ("left_x", "left_y", "right_x", "right_y")
 
 
 class PlanarHSA(SoromoxRobot):
-    """A platform on rods that lengthen, and change their stiffness, as motors twist them; they bend and shear as well.
+    """A platform on rods. Motors twist the rods, which changes their length and stiffness; they bend and shear as well.
 
-    The equation is that of `SoromoxRobot` with q: (3,), bending 1/m, shear and stretch of the middle line; the springs'
-    stiffness is affine in the twist, so that the inputs act by u, u² and u q. From the base down: caps of 25 mm, rods
-    of 59 mm at ±24 mm, caps of 14 mm, a platform of 12 mm.
+    The equation is that of `SoromoxRobot` with q: (3,), bending 1/m, shear and stretch of the middle line. The
+    stiffness of the springs is affine in the twist, so that the inputs act by u, u² and u q. From the base down: caps
+    of 25 mm, rods of 59 mm at ±24 mm, caps of 14 mm, a platform of 12 mm.
 
     Springs, masses and dampers: Stölzle, Rus, Della Santina, "An experimental study of model-based control for planar
     handed shearing auxetics robots", ISER 2023, as published with jsrm, which soromox follows. The dampers are those of
-    its earlier set; those of its later set, 15 to 25 times smaller, leave the shear ringing at 0.8 % of critical.
+    its earlier parameter set. In the later set they are 15 to 25 times smaller, and the shear oscillates at 0.8 % of
+    critical damping.
 
-    payload: kg, below the platform; ours, of a gripper: it takes the slowest mode to 4.2 Hz.
-    input_bounds: rad, twist of either pair of rods; the real one had up to 200 deg.   state: (6,), q and its rate.
+    payload: kg, below the platform, such as a gripper; our choice, which puts the slowest mode at 4.2 Hz.
+    input_bounds: rad, twist of each pair of rods; up to 200 deg on the real robot.   state: (6,), q and its rate.
     Outputs: the ends of the platform, x to the right, y down, from the base.   Needs the extra `robots`.
     """
 

@@ -1,4 +1,4 @@
-"""A planar arm of two bellows whose pressure follows the command late."""
+"""A planar arm of two bellows. Their pressure follows the command with a lag."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ INPUTS = ("proximal_difference", "distal_difference")
 
 @njit(cache=True)
 def _acceleration(q, v, pressure, shape, inertia, weight, stiffness, hardening, damping, drag, gain):
-    """q̈ of the arcs, rad/s²; the equation is in `PressureArm`."""
+    """q̈ of the arcs, rad/s²; see the equation in `PressureArm`."""
     angle, rate = shape @ q, shape @ v
     size = len(angle)
     mass, force = np.empty((size, size)), np.empty(size)
@@ -36,7 +36,7 @@ def _acceleration(q, v, pressure, shape, inertia, weight, stiffness, hardening, 
 
 @njit(cache=True)
 def _flow(state, u, h, substeps, lag, constants):
-    """Runge-Kutta of order four for the arcs; the pressure, linear and by itself, is exact."""
+    """Runge-Kutta of order four for the arcs; the pressure, which is linear and independent, is exact."""
     n = (len(state) - len(u)) // 2
     q, v, p = state[:n].copy(), state[n:2 * n].copy(), state[2 * n:].copy()
     for _ in range(substeps):
@@ -58,23 +58,23 @@ def _flow(state, u, h, substeps, lag, constants):
 
 
 class PressureArm(FlatStatePlant):
-    """Two bellows of silicone in a row that hang and bend in a vertical plane, each by the difference of two chambers.
+    """Two bellows of silicone in a row that hang and bend in a vertical plane, each by a difference of pressures.
 
         τ ṗ = u − p,
         M(q) (q̈ + α q̇) + h(q, q̇) + ∂V/∂q + K (q + β q³) + C q̇ = B p.
 
-    q: (2 arcs,) rad, how far each arc of constant curvature bends. M, h and V are those of a chain of rigid links that
-    lie on the arcs, four on each. p: (2,) Pa, pressure differences, which follow the command u late: valves and tubes
-    of a metre and more settle within tenths of a second, and the moments act by what is in the chambers.
+    q: (2 arcs,) rad, bending of each arc of constant curvature. M, h and V are those of a chain of rigid links on the
+    arcs, four per arc. p: (2,) Pa, pressure differences in the chambers, which act as moments. They follow the command
+    u late, because valves and tubes of a metre and more settle within tenths of a second.
 
     arcs: per bellows.   length: m, of the arm.   line_density: kg/m, silicone of 1,070 kg/m³ in a tube of 30 mm, a
-    third of it hollow.   bending_stiffness EI: N m², with 0.3 MPa.   hardening β: 1/rad², bellows that close.
-    material_damping: s, C = K times this (Kelvin-Voigt).   drag α: 1/s, of tubes and air.
-    lever: m³, how much a chamber grows per radian, its area of 150 mm² times its distance from the middle, 7 mm.
+    third of it hollow.   bending_stiffness EI: N m², with 0.3 MPa.   hardening β: 1/rad², of bellows that close.
+    material_damping: s, C is K times this (Kelvin-Voigt).   drag α: 1/s, of tubes and air.
+    lever: m³, change of a chamber's volume per radian: its area of 150 mm² times 7 mm to the middle line.
     pressure_lag τ: s, 0 for none.   timestep: s, of a camera at 50 Hz.
-    substeps: of Runge-Kutta; the fastest bending mode falls within 0.1 ms.   input_bounds: Pa, signed.
+    substeps: of Runge-Kutta; the fastest bending mode decays within 0.1 ms.   input_bounds: Pa, signed.
     state: (4 arcs + 2,), q, q̇, p.   Outputs: tip and middle, x sideways and y up, from the base.
-    A camera's noise is that of a rig: rig=camera.
+    The noise of the camera belongs to the rig: rig=camera.
 
     >>> PressureArm()
     PressureArm 'pressure arm': 2 inputs, 4 outputs
@@ -119,11 +119,11 @@ class PressureArm(FlatStatePlant):
 
     @property
     def pressure(self) -> np.ndarray:
-        """(2,) Pa, the differences in the chambers now."""
+        """(2,) Pa, the present pressure differences in the chambers."""
         return self._state[-BELLOWS:].copy()
 
     def energy(self) -> float:
-        """Kinetic, gravitational and elastic, J, from rest; it only falls while the chambers are empty."""
+        """Kinetic, gravitational and elastic energy, J, zero at rest; without pressure it never grows."""
         q, v = np.split(self._state[:-BELLOWS], 2)
         shape, inertia, weight, stiffness, hardening, *_ = self._constants
         angle, rate = shape @ q, shape @ v
@@ -140,7 +140,7 @@ class PressureArm(FlatStatePlant):
 
 
 def _shape(pieces: int) -> np.ndarray:
-    """(links, arcs): the angle of every link from the vertical per bending of each arc; within its own, its middle."""
+    """(links, arcs): angle of every link from the vertical per bending of each arc; a link sits at its arc's middle."""
     within = (np.arange(LINKS) + 0.5) / LINKS
     blocks = [[np.ones(LINKS) if arc < row else within if arc == row else np.zeros(LINKS) for arc in range(pieces)]
               for row in range(pieces)]
@@ -148,7 +148,7 @@ def _shape(pieces: int) -> np.ndarray:
 
 
 def _chain(count: int, length: float, mass: float, gravity: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of rigid links hinged in a row, by absolute angles θ: T = ½ Σ a_ij cos(θ_i − θ_j) θ̇_i θ̇_j, V = −Σ g_i cos θ_i.
+    """A chain of rigid hinged links with absolute angles θ: T = ½ Σ a_ij cos(θ_i − θ_j) θ̇_i θ̇_j, V = −Σ g_i cos θ_i.
 
     Returns a (count, count) kg m² and g (count,) N m.
     """

@@ -1,4 +1,4 @@
-"""A robot on another machine, as a plant."""
+"""A robot on another computer, as a plant."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ log = logging.getLogger(__name__)
 
 
 class RemotePlant(PlantSheet):
-    """A robot that connects to this address, such as ssmr serve-plant or one of one's own (docs/wire.md).
+    """A robot that connects to this address, such as ssmr serve-plant or your own robot (docs/wire.md).
 
-    bind: address to wait at; the robot's names, timestep, rest and bounds are those of its HELLO.
-    wait: s to wait for it.   deadline, timeout, patience: as of `wire.controller_end.ControllerEnd`.
-    The displacement is the last observation that came, as nobody here knows better; a measurement that does not come in
-    time is NaN. A robot does not tell its state, which is (0,).   counts: what was wrong with the messages.
-    stamp: s by the robot's own clock, when the last observation was taken; NaN where it is missing.
-    Raises OSError for an address that is taken, TimeoutError when no robot came, ValueError for a HELLO that cannot be
-    read; `reset` and `step` raise ConnectionError when the robot is gone.
+    bind: address to wait at. The robot sends its names, timestep, rest and bounds in its HELLO.
+    wait: s to wait for the robot.   deadline, timeout, patience: as in `wire.controller_end.ControllerEnd`.
+    The true displacement is not known here, so it is the last observation. A measurement that does not arrive in time
+    is NaN. The robot does not send its state, which therefore is (0,).   counts: what was wrong with the messages.
+    stamp: s by the robot's own clock, at the last observation; NaN where it is missing.
+    Raises OSError for an address that is in use, TimeoutError when no robot came, and ValueError for a HELLO that
+    cannot be read. `reset` and `step` raise ConnectionError when the robot is gone.
     """
 
     def __init__(self, bind: str = "tcp://*:5555", wait: float = 60.0, deadline: float | None = None,
@@ -65,9 +65,10 @@ class RemotePlant(PlantSheet):
         return np.empty(0)
 
     def reset(self, seed: int | None = None, state: np.ndarray | None = None) -> np.ndarray:
-        """Begin a run, for which the robot goes to rest; any state but None raises ValueError."""
+        """Begin a run; the robot goes to rest. Any state but None raises ValueError."""
         if state is not None:
-            raise ValueError("a robot elsewhere cannot be put into a state; expected None, its rest")
+            raise ValueError("a state was given, but a robot on another computer cannot be put into a state; expected "
+                             "None, which means rest")
         self._run = (self._run + 1) % 2**32
         self._stream, self._pending = self._new_stream(), None
         self._start = Message(Kind.START, self._run, text='{"seed": %s}' % ("null" if seed is None else int(seed)))
@@ -75,7 +76,9 @@ class RemotePlant(PlantSheet):
         return self._next(monotonic() + self.patience)
 
     def step(self, input: np.ndarray) -> np.ndarray:
-        """Send the inputs (m,), clipped to the bounds; the next observation (p,), NaN when it does not come in time."""
+        """Send the inputs (m,), clipped to the bounds. Returns the next observation (p,), NaN if it does not come in
+        time.
+        """
         u = np.clip(finite_vector(input, len(self.input_names), "input"), *self.input_bounds)
         if not self._stream.next:
             self.reset()
@@ -99,11 +102,11 @@ class RemotePlant(PlantSheet):
         while (message := self._receive(until)) is not None:
             if message.kind is Kind.HELLO:
                 return self._description_of(message)
-            # A robot in a run of a driver that is gone: this makes it say HELLO.
+            # The robot still is in a run with an earlier program. This message makes it say HELLO.
             self._link.send(self._sender, Message(Kind.END, message.run, status=Code.OTHER, text="no such run"))
         self._link.close()
-        raise TimeoutError(f"no robot came to {self.bind} within {self.wait:g} s; start ssmr serve-plant "
-                           "with connect=tcp://THIS_MACHINE:PORT, and check the address")
+        raise TimeoutError(f"no robot connected to {self.bind} within {self.wait:g} s; start ssmr serve-plant "
+                           "with connect=tcp://THIS_COMPUTER:PORT, and check the address")
 
     def _description_of(self, message: Message) -> RobotDescription:
         try:
@@ -113,7 +116,7 @@ class RemotePlant(PlantSheet):
             raise
 
     def _receive(self, until: float) -> Message | None:
-        """The next message that is one, from whomever, or None when none came until then."""
+        """The next well-formed message from anyone, or None when none arrives before `until`."""
         while True:
             received = self._link.receive(max(until - monotonic(), 0.0))
             if received is None:
@@ -131,12 +134,12 @@ class RemotePlant(PlantSheet):
             return message
 
     def _next(self, until: float) -> np.ndarray:
-        """The observation of the next sample, NaN when a real-time robot's does not come until then."""
+        """The observation of the next sample; NaN when a real-time robot's does not arrive before `until`."""
         message = self._pending if self._pending is not None else self._await(until)
         if message is None:
             if not (self._described.real_time and self._stream.begun) or monotonic() - self._heard > self.timeout:
-                raise ConnectionError(f"the robot {self.name!r} is silent: no measurement {self._stream.next}; "
-                                      "see what became of it and start both again")
+                raise ConnectionError(f"the robot {self.name!r} is silent: measurement {self._stream.next} did not "
+                                      "arrive. Check the robot and start both programs again")
             self._due += self.timestep
         elif message.sequence == self._stream.next:
             self._pending, self.stamp = None, message.time
@@ -159,8 +162,8 @@ class RemotePlant(PlantSheet):
             elif message.kind is Kind.END:
                 raise ConnectionError(f"the robot {self.name!r} ended the run: {message.text}")
             elif (place := self._stream.place(message)) is Place.BEYOND:
-                raise ConnectionError(f"measurement {message.sequence} of the robot {self.name!r} came after "
-                                      f"{self._stream.next - 1}; too many are missing")
+                raise ConnectionError(f"measurement {message.sequence} of the robot {self.name!r} arrived after "
+                                      f"{self._stream.next - 1}: too many in between are missing. Check the connection")
             elif place is not Place.INVALID:
                 self._heard = monotonic()
                 slack = 0.5 * self.timestep if self.deadline is None else self.deadline
@@ -175,16 +178,16 @@ class RemotePlant(PlantSheet):
 
     def _greet_again(self, message: Message) -> None:
         if self._stream.next:
-            raise ConnectionError(f"the robot {self.name!r} began anew in the midst of a run; run this again")
+            raise ConnectionError(f"the robot {self.name!r} was restarted during a run; start this run again")
         if message.text != self._described.text and self._description_of(message).text != self._described.text:
-            text = f"this run began with {self._described.text}, now the robot is {message.text}; restart the driver"
+            text = f"this run began with {self._described.text}, but now the robot is {message.text}; start again"
             self._link.send(self._peer, Message(Kind.REFUSE, text=text))
             raise ValueError(text)
         self._tell(self._start)
 
 
 class _Current:
-    """What is needed to take leave of the robot once the plant is gone."""
+    """What is needed to end the robot's run when the plant is deleted."""
 
     def __init__(self, link: ControllerLink, peer: bytes, run: int):
         self.link, self.peer, self.run = link, peer, run

@@ -18,7 +18,7 @@ SHORTENING, ASYMMETRY = 26.0, 7.0               # 1/s², bending coupled with el
 CABLE_BENDING, CABLE_COMPRESSION = 100.0, 34.0  # 1/(N s²)
 CABLE_STIFFENING, LEVER_ARM = 14.0, 24.0        # 1/(N s²), the control field's dependence on the shape
 FAST_RATES = np.array([45.3, 61.1, 83.7, 110.9])  # 1/s
-SAG_LAG = 0.02                                  # s, the manifold leans with the velocity
+SAG_LAG = 0.02                                  # s, how much the manifold depends on the velocity
 
 # Displacement of the two markers (tip x, y, z, mid-body x, y, z) per unit of q and of η, m.
 SHAPE_OUTPUT = 1e-3 * np.array([[21.0, 0.8, 0.5],
@@ -33,7 +33,7 @@ FAST_OUTPUT = 1e-3 * np.array([[0.1, -0.9, 0.0, 0.3],
                                [0.1, 0.5, 0.1, 0.4],
                                [0.0, -0.1, 0.5, -0.3],
                                [-0.8, 0.0, 0.1, 0.2]])
-FAST_INPUT = np.array([[0.06, 0.06, 0.06, 0.06],  # 1/N, resting offset of η from the manifold per cable force
+FAST_INPUT = np.array([[0.06, 0.06, 0.06, 0.06],  # 1/N, offset of η from the manifold at rest, per cable force
                        [0.15, -0.15, 0.0, 0.0],
                        [0.0, 0.0, 0.15, -0.15],
                        [0.08, 0.08, -0.08, -0.08]])
@@ -96,21 +96,22 @@ class SlowManifold(PlantSheet):
         y = C_q q + C_η η.
 
     V is a quartic potential, D and Λ are diagonal and positive, u ≥ 0 are the forces of four antagonistic
-    cables in N, q and η are dimensionless (q = 1 moves the tip by about 21 mm), h has degrees 2 and 3. Hence
-    the graph η = h(ξ) is invariant for u = 0, tangent to the slow eigenspace (h(0) = 0, Dh(0) = 0), attracts
-    at the rates Λ, and carries exactly the ξ-equations. The slow spectrum is -D/2 ± i √(K - D²/4), the fast
-    one -Λ. No non-negative integer combination of slow eigenvalues equals a fast one: the imaginary parts are
-    rationally independent, so only real combinations -(m₁D₁ + m₂D₂ + m₃D₃), multiples of 0.4 1/s, could, and
-    no default rate is one. The graph is thus the unique smoothest spectral submanifold (paper, "Spectral
-    Submanifold theory"). For u ≠ 0, η - h(ξ) relaxes to E u, the error of the autonomous manifold under load.
-    With u held, η - h(ξ) is integrated exactly, ξ by `substeps` Runge-Kutta steps of order four.
+    V is a quartic potential, D and Λ are diagonal and positive, u ≥ 0 are the forces in N of four antagonistic cables.
+    q and η are dimensionless (q = 1 moves the tip by about 21 mm); h has degrees 2 and 3. Hence the graph η = h(ξ) is
+    invariant for u = 0, is tangent to the slow eigenspace (h(0) = 0, Dh(0) = 0), attracts at the rates Λ, and carries
+    exactly the ξ-equations. The slow spectrum is -D/2 ± i √(K - D²/4), the fast one -Λ. No non-negative integer
+    combination of slow eigenvalues equals a fast one. The imaginary parts are rationally independent, so only the real
+    combinations -(m₁D₁ + m₂D₂ + m₃D₃) could; these are multiples of 0.4 1/s, and no default rate is such a multiple.
+    The graph is thus the unique smoothest spectral submanifold (paper, "Spectral Submanifold theory"). For u ≠ 0,
+    η - h(ξ) relaxes to E u, the error of the autonomous manifold under load.
+    With u held, η - h(ξ) is integrated exactly, and ξ by `substeps` Runge-Kutta steps of order four.
 
-    observe: "markers" gives the tip and a mid-body marker, p = 6; "state" gives 0.02 m times q, v / 10 s⁻¹
+    observe: "markers" gives the tip and a marker in the middle, p = 6; "state" gives 0.02 m times q, v / 10 s⁻¹
     and η / 10, p = 10, in which manifold, drift and control field are polynomials of degree 3 at most.
     input_bounds: lowest and highest force in N, (2,) or (2, 4).
-    fast_rate_scale multiplies Λ, fast_input_gain E.
+    fast_rate_scale multiplies Λ, fast_input_gain multiplies E.
     state: (10,), ξ then η.
-    Raises ValueError for bounds out of order, non-positive times or rates, and unknown observations.
+    Raises ValueError for wrong bounds, for times or rates that are not positive, and for an unknown `observe`.
 
     >>> SlowManifold()
     SlowManifold 'slow manifold': 4 inputs, 6 outputs
@@ -162,13 +163,13 @@ class SlowManifold(PlantSheet):
         return self.output_matrix @ self._state
 
     def reset(self, seed: int | None = None, state: np.ndarray | None = None) -> np.ndarray:
-        """Go to `state` (default: rest); nothing here is random, so `seed` has no effect."""
+        """Go to `state` (default: rest). `seed` has no effect, because nothing is random."""
         size = SLOW_DIM + FAST_DIM
         self._state = np.zeros(size) if state is None else finite_vector(state, size, "state")
         return self.displacement
 
     def step(self, input: np.ndarray) -> np.ndarray:
-        """Hold the forces (4,) for one timestep, clipped to the bounds; a misfit raises ValueError."""
+        """Hold the forces (4,) for one timestep, clipped to the bounds. Raises ValueError for a wrong size."""
         u = np.clip(finite_vector(input, CABLES, "input"), *self.input_bounds)
         xi, eta = self._state[:SLOW_DIM], self._state[SLOW_DIM:]
         offset = self.fast_offset @ u
@@ -178,7 +179,7 @@ class SlowManifold(PlantSheet):
         return self.displacement
 
     def rate(self, state: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """The full vector field, (..., 10), (..., 4) → (..., 10): what `step` integrates."""
+        """The full vector field that `step` integrates, (..., 10), (..., 4) → (..., 10)."""
         xi, eta = state[..., :SLOW_DIM], state[..., SLOW_DIM:]
         xi_rate = self.slow_rate(xi, u)
         relaxation = self.fast_rates * (u @ self.fast_offset.T - (eta - self.manifold(xi)))
@@ -202,7 +203,7 @@ class SlowManifold(PlantSheet):
         return self.reduced_drift(xi) + _apply(self.reduced_control_field(xi), u)
 
     def manifold(self, xi: np.ndarray) -> np.ndarray:
-        """h(ξ): (..., 6) → (..., 4). Sag, foreshortening of the two bendings, and their interplay."""
+        """h(ξ): (..., 6) → (..., 4): sag, shortening by the two bendings, and their coupling."""
         q1, q2, q3, v1, v2, _ = _components(xi)
         bending = q1 * q1 + q2 * q2
         return np.stack([bending + SAG_LAG * (q1 * v1 + q2 * v2), q1 * (bending + q3), q2 * (bending + q3),
@@ -265,7 +266,7 @@ class SlowManifold(PlantSheet):
         return state_rate @ self.output_matrix.T
 
     def window(self, xi: np.ndarray, delays: int) -> np.ndarray:
-        """The delay window that ends in ξ, u = 0: (..., 6) → (..., delays + 1, p), oldest sample first."""
+        """The delay window that ends in ξ, with u = 0: (..., 6) → (..., delays + 1, p), oldest sample first."""
         return self.observe_slow(self._history(xi, delays))
 
     def window_rate(self, xi: np.ndarray, delays: int) -> np.ndarray:

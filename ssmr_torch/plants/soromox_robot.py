@@ -1,6 +1,6 @@
-"""What is alike in robots whose equations are soromox's: their integration, and where they rest.
+"""Base class of robots with soromox's equations: integration, and the state at rest.
 
-Building and compiling one takes some ten seconds of computation, so each is made once per process and set of physical
+Building and compiling such a robot takes about ten seconds, so that it is done once per process and set of physical
 parameters.
 """
 
@@ -19,13 +19,13 @@ from ssmr_torch.plants.flat_state import FlatStatePlant
 
 IMPLICIT = 1 - np.sqrt(0.5)  # γ of the method
 NEWTON_STEPS = 2
-NUMERICAL = ("timestep", "substep", "input_bounds")  # parameters that are no part of soromox's model
+NUMERICAL = ("timestep", "substep", "input_bounds")  # parameters that do not belong to soromox's model
 
 
 class Compiled(NamedTuple):
-    """force(q, v, u): what accelerates the robot, M(q) v̇ = force, (n,).   observe(q): (p,) m.
+    """force(q, v, u): (n,), the force that accelerates the robot, M(q) v̇ = force.   observe(q): (p,) m.
 
-    flow(state, u, h, substeps): the state after so many substeps of h s.   stiffness: (n, n) of the springs alone.
+    flow(state, u, h, substeps): the state after this number of substeps of h s.   stiffness: (n, n), springs only.
     """
 
     force: Callable
@@ -37,16 +37,16 @@ class Compiled(NamedTuple):
 class SoromoxRobot(FlatStatePlant):
     """M(q) v̇ = A(q, p) − c(q, v) − K (q − q₀) − D v,   q̇ = v,   lag ṗ = u − p,   of soromox (Stölzle et al., 2026).
 
-    Integrated by the L-stable implicit Runge-Kutta method of order two with two stages (Alexander, SIAM J. Numer. Anal.
-    14, 1977), as shear and stretch are far stiffer than bending; p is exact. Each stage takes two Newton steps whose
-    Jacobian has the springs and dampers, which are linear, and leaves out what gravity and inertia add. state: q, v,
-    and p where it lags. Sets JAX to double precision, for the whole process.
+    The integrator is the L-stable implicit Runge-Kutta method of order two with two stages (Alexander, SIAM J. Numer.
+    Anal. 14, 1977), because shear and stretch are much stiffer than bending; p is exact. Each stage takes two Newton
+    steps. Their Jacobian holds the springs and dampers, which are linear, but not gravity and inertia. state: q, v, and
+    p where there is a lag. JAX is set to double precision for the whole process.
     """
 
     ENGINE = ("_compiled",)
 
     def _start(self, parameters: dict, substep: float, lag: float) -> None:
-        """What a constructor does last. lag: s, of the inputs; 0 for none."""
+        """The last call of every constructor. lag: s, of the inputs; 0 for none."""
         require("soromox")
         self.parameters, self._lag = parameters, float(lag)
         self.substeps = whole_multiple("timestep", self.timestep, "substep", substep)
@@ -65,14 +65,14 @@ class SoromoxRobot(FlatStatePlant):
 
     @abstractmethod
     def places(self, robot, q):
-        """(p,), where the observed points of soromox's model are, m: JAX in, JAX out."""
+        """(p,) m, the positions of the observed points of soromox's model, as a function on JAX arrays."""
 
     def force(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Generalized force (n,) that accelerates the robot at the shape q, velocity v and pressures u."""
         return np.array(self._compiled.force(q, v, u))
 
     def _equilibrium(self) -> np.ndarray:
-        """Newton's method with the stiffness of the springs, from the shape without load."""
+        """The shape at rest, by Newton's method with the stiffness of the springs, from the unloaded shape."""
         still, q = np.zeros(len(self.input_names)), np.zeros(len(self._compiled.stiffness))
         for _ in range(200):
             step = np.linalg.solve(self._compiled.stiffness, self.force(q, np.zeros_like(q), still))
@@ -89,7 +89,7 @@ class SoromoxRobot(FlatStatePlant):
 
 
 class _Recipe:
-    """Functions beside the key of a cache, which they are no part of."""
+    """Functions that are passed to a cached function without being part of its key."""
 
     def __init__(self, robot: Callable, places: Callable):
         self.robot, self.places = robot, places
@@ -116,7 +116,7 @@ def _compiled(kind: type, physical: str, lag: float, recipe: _Recipe) -> Compile
         return mass, (robot.actuation_force(q, p, qd=v) - inertial - gravity - robot.elastic_force(q) - damping @ v)
 
     def stage(q, v, p, guess, h):
-        """Acceleration a with M(q + γ h (v + γ h a)) a = force there, and where that is."""
+        """Acceleration a with M(q + γ h (v + γ h a)) a = force there, and the shape there."""
         newton = damping * (IMPLICIT * h) + stiffness * (IMPLICIT * h) ** 2
 
         def improved(_, a):

@@ -1,4 +1,4 @@
-"""A chain of stiff links and soft universal joints that four tendons bend, simulated by MuJoCo."""
+"""A chain of rigid links and soft universal joints, bent by four tendons, simulated by MuJoCo."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ OUTPUTS = ("tip_x", "tip_y", "tip_z", "middle_x", "middle_y", "middle_z")
 
 
 class TendonChain(FlatStatePlant):
-    """Vertebrae that hang in a row, each on a universal joint with a spring and a damper; four tendons through all.
+    """Vertebrae that hang in a row, each on a universal joint with a spring and a damper; four tendons bend the chain.
 
         M(q) q̈ + h(q, q̇) + k q + c q̇ = −(∂ℓ/∂q)ᵀ u,
 
     q: (2 links,) rad.   ℓ(q): (4,) m, lengths of the tendons along straight lines from hole to hole.   u ≥ 0: N.
     M, h with gravity, and ℓ by MuJoCo, whose integrator "implicitfast" takes the damping implicitly.
 
-    links: vertebrae.   length: m, of the chain.   mass: kg, of all of it, printed discs and the backbone.
-    radius: m, of the circle of holes; a vertebra is a disc that fills it.   stiffness k: N m/rad of one joint, a rod of
-    silicone (1.5 MPa) of 12 mm, E I / (length of a link).   damping c: N m s/rad.   substep: s, of MuJoCo.
+    links: number of vertebrae.   length: m, of the chain.   mass: kg, of printed discs and backbone together.
+    radius: m, of the circle of holes; a vertebra is a disc of this radius.   stiffness k: N m/rad of one joint, a rod
+    of silicone (1.5 MPa) of 12 mm, E I / (length of a link).   damping c: N m s/rad.   substep: s, of MuJoCo.
     payload: kg, a point at the tip.   input_bounds: N.   state: (4 links,), q and q̇.   Outputs: tip and middle of the
     chain, z up, from the base.
     Needs the extra `robots`.
@@ -63,7 +63,7 @@ class TendonChain(FlatStatePlant):
         self._data = mujoco.MjData(self._model)
 
     def energy(self) -> float:
-        """Kinetic and potential, J; it only falls while no tendon pulls."""
+        """Kinetic and potential energy, J; without tension in the tendons it never grows."""
         import mujoco
 
         self._put(self._state)
@@ -91,7 +91,7 @@ class TendonChain(FlatStatePlant):
 
 def _description(links: int, length: float, mass: float, radius: float, stiffness: float, damping: float,
                  substep: float, gravity: float, payload: float) -> str:
-    """MuJoCo's XML. Holes are at both faces of every vertebra, so a tendon runs straight where nothing guides it."""
+    """The model as MuJoCo's XML. Every vertebra has holes at both faces, so that a tendon is straight in between."""
     link = length / links
     holes = {side: [f'<site site="{side} base"/>'] for side in SIDES}
     base = "".join(f'<site name="{side} base" pos="{radius * x} {radius * y} 0"/>' for side, (x, y) in SIDES.items())

@@ -16,7 +16,7 @@ from ssmr_torch.plants.finite_element.structure import Mechanics
 SILICONE = Mechanics(young=450e3, poisson=0.45, mass=0.042, mass_damping=0.1, stiffness_damping=0.1,
                      gravity=(0.0, 0.0, 9.81))
 CLAMP = (-0.020, -0.020, 0.0), (0.020, 0.020, 0.020)  # m
-# The authors' tip node lies at the rim, (5, 0, 195) mm, ours at the centre: this point is nearest to either.
+# The authors' tip node lies at the rim, (5, 0, 195) mm, ours at the centre. This point is nearest to both.
 MARKERS = MappingProxyType({"tip": (0.002, 0.0, 0.195), "middle": (0.0, 0.0, 0.130), "upper": (0.0, 0.0, 0.065)})
 ANCHORS = np.array([[0.0, 0.010, 0.0], [-0.010, 0.0, 0.0], [0.0, -0.010, 0.0], [0.010, 0.0, 0.0]])  # m
 TURN = 1.57  # rad between two cables, the authors' number
@@ -27,9 +27,9 @@ INPUTS = tuple(f"{length}_{side}" for length in ("long", "short") for side in ("
 class Trunk(FiniteElementRobot):
     """195 mm of silicone hanging along +z, clamped in the box of 40 x 40 x 20 mm at its base (paper, Fig. 2).
 
-    mesh: of this package, or a file; the cables run where the authors' do.   length_unit: of the file.
-    input: tensions of the four long cables, then of the four short ones, N.   mechanics: changes of `SILICONE` by name.
-    The rest is as in `FiniteElementRobot`.
+    mesh: name of a mesh of this package, or a file; the cables run as in the authors' model.   length_unit: of the
+    file.   input: tensions in N of the four long cables, then of the four short ones.   mechanics: changes of
+    `SILICONE`, by name.   Everything else is as in `FiniteElementRobot`.
     """
 
     @configurable(SILICONE)
@@ -47,8 +47,8 @@ class Trunk(FiniteElementRobot):
 def cable_paths() -> tuple[np.ndarray, list[np.ndarray]]:
     """Anchors (8, 3) m and waypoints of the long and short cables, m.
 
-    Along d = (0, −8, 195)/‖·‖: (d_x, 17.5 k d_y + 10, 17.5 k d_z + 21) and the same with 27 mm, k = 0, 1, …; cable i
-    turned about z by 1.57 i rad.
+    Along d = (0, −8, 195)/‖·‖: (d_x, 17.5 k d_y + 10, 17.5 k d_z + 21), and the same with 27 mm, k = 0, 1, …; cable i
+    is rotated about z by 1.57 i rad.
     """
     direction = np.array([0.0, -8.0, 195.0]) / np.hypot(8.0, 195.0)
     k = np.repeat(np.arange(LONG // 2), 2)

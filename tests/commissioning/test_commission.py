@@ -35,10 +35,10 @@ def test_a_robot_goes_from_its_card_to_a_fast_circle_and_all_is_recorded(bring_u
     # each step is shown with what comes next before it is confirmed
     assert [step for step, *_ in bring_up.seen] == list(STEPS)
     for (_, text, _), following in zip(bring_up.seen, STEPS[1:]):
-        assert "Next, " in text and "It stops beyond 50 mm" in text or following in ("check", "design")
+        assert "Next step, " in text and "It stops beyond 50 mm" in text or following in ("check", "design")
 
 
-def test_what_is_declined_is_measured_again_and_what_was_confirmed_is_not(bring_up, robot):
+def test_a_declined_step_is_measured_again_and_a_confirmed_step_is_not(bring_up, robot):
     plant = robot()
     assert bring_up(plant, lambda step, *_: step != "steps") == ["card", "noise"]
     before = (bring_up.directory / "noise.json").stat().st_mtime_ns
@@ -48,7 +48,7 @@ def test_what_is_declined_is_measured_again_and_what_was_confirmed_is_not(bring_
     assert (bring_up.directory / "noise.json").stat().st_mtime_ns == before
 
 
-def test_nothing_moves_when_going_on_is_declined(bring_up, robot):
+def test_nothing_moves_when_the_person_does_not_want_to_continue(bring_up, robot):
     plant = robot()
     bring_up(plant, lambda step, *_: step != "steps")
     plant.commands.clear()
@@ -56,7 +56,7 @@ def test_nothing_moves_when_going_on_is_declined(bring_up, robot):
     assert plant.commands == []
 
 
-def test_a_kill_in_the_midst_of_the_recordings_loses_no_finished_run(bring_up, robot):
+def test_a_kill_during_the_recordings_loses_no_finished_run(bring_up, robot):
     class Killed(BaseException):
         pass
 
@@ -78,7 +78,7 @@ def test_a_kill_in_the_midst_of_the_recordings_loses_no_finished_run(bring_up, r
     assert len(TrajectoryDataset.load(bring_up.directory / "trajectories.h5")) == 6
 
 
-def test_recordings_that_are_declined_are_set_aside_and_recorded_anew(bring_up, robot):
+def test_declined_recordings_are_set_aside_and_recorded_again(bring_up, robot):
     plant = robot()
     bring_up(plant, lambda step, *_: step != "collection")
     assert [path.name for path in bring_up.directory.glob("*trajectories.h5")] == ["declined-1-trajectories.h5"]
@@ -109,7 +109,7 @@ def test_a_stop_in_the_recordings_keeps_the_run_marked_and_goes_on_with_smaller_
     np.testing.assert_allclose(bounds[0], data.provenance["share"] * np.array([[-1, -1], [1, 1]]))
 
 
-def test_a_loop_that_goes_wild_is_stopped_led_back_and_not_confirmed(bring_up, robot, card):
+def test_a_diverging_loop_is_stopped_and_led_back_and_not_confirmed(bring_up, robot, card):
     class Wild:
         period = 0.01
 
@@ -131,7 +131,7 @@ def test_a_loop_that_goes_wild_is_stopped_led_back_and_not_confirmed(bring_up, r
 
 
 @pytest.mark.parametrize("what", [{"bounds": (0.0, 1.0)}, {"bounds": (-1.0, 1.0)}, {"bounds": (-0.2, 1.0)}], ids=str)
-def test_pulling_signed_and_mixed_inputs_begin_and_end_at_the_neutral_one(bring_up, robot, what):
+def test_runs_begin_and_end_at_the_neutral_input_for_pulling_signed_and_mixed_inputs(bring_up, robot, what):
     plant = robot(**what)
     bring_up(plant, lambda step, *_: step != "collection")
     data = TrajectoryDataset.load(bring_up.directory / "declined-1-trajectories.h5")
@@ -141,7 +141,7 @@ def test_pulling_signed_and_mixed_inputs_begin_and_end_at_the_neutral_one(bring_
     assert (high > 0.2).all() and ((low < -0.05).all() if what["bounds"][0] else (low == 0).all())
 
 
-def test_a_neutral_input_of_the_cards_is_where_decays_end_and_everything_starts(bring_up, robot, card):
+def test_decays_end_and_all_steps_start_at_the_cards_neutral_input(bring_up, robot, card):
     plant = robot(bounds=(0.0, 1.0))
     bring_up(plant, lambda step, *_: step != "collection", card=card(neutral=[0.25, 0.1], settle=1.0))
     data = TrajectoryDataset.load(bring_up.directory / "declined-1-trajectories.h5")
@@ -150,7 +150,7 @@ def test_a_neutral_input_of_the_cards_is_where_decays_end_and_everything_starts(
         np.testing.assert_array_equal(decay.read().input, np.tile([0.25, 0.1], (100, 1)))
     low, high = data.extremes()[1]
     assert (low < [0.2, 0.05]).all() and (high > [0.4, 0.3]).all()
-    assert "from its zero under the neutral input" in bring_up.seen[1][2][0]
+    assert "from zero under the neutral input" in bring_up.seen[1][2][0]
 
 
 def test_another_card_is_refused_in_the_same_directory_but_other_limits_are_not(bring_up, robot, card):
@@ -164,7 +164,7 @@ def test_recordings_that_no_commissioning_made_are_refused(bring_up, robot):
     bring_up(robot(), lambda step, *_: step != "collection")
     data = TrajectoryDataset.load(bring_up.directory / "declined-1-trajectories.h5")
     dataclasses.replace(data, provenance={"source": "simulation"}).save(bring_up.directory / "trajectories.h5")
-    with pytest.raises(ValueError, match="comes from 'simulation'; expected those of this commissioning"):
+    with pytest.raises(ValueError, match="comes from 'simulation'; expected the recordings of this commissioning"):
         bring_up(robot())
 
 
@@ -177,18 +177,18 @@ def test_yes_does_not_agree_to_swapped_channels(bring_up, robot, capsys, card, t
     assert "left and right are swapped: left moves +y, right moves +x" in capsys.readouterr().out
 
 
-def test_no_terminal_is_said_in_one_sentence(robot, card, tmp_path, monkeypatch):
+def test_without_a_terminal_one_sentence_says_what_to_do(robot, card, tmp_path, monkeypatch):
     from ssmr_torch.commissioning.commission import commission
 
     def nobody(prompt):
         raise EOFError
 
     monkeypatch.setattr("builtins.input", nobody)
-    with pytest.raises(ValueError, match="nobody answers at the terminal"):
+    with pytest.raises(ValueError, match="there is no terminal for the answer"):
         commission(robot(), card(), tmp_path / "other")
 
 
-def test_answers_of_a_guarded_robot_are_those_of_the_robot(robot, card):
+def test_a_guarded_robot_gives_the_same_observations_as_the_robot(robot, card):
     from ssmr_torch.commissioning.robot_card import fitted
     from ssmr_torch.commissioning.safety_guard import GuardedPlant
 

@@ -23,7 +23,7 @@ def guarded(card):
     return lambda plant, **changes: GuardedPlant(plant, fitted(card(**changes), plant))
 
 
-def test_a_card_takes_from_the_robot_what_it_leaves_open_and_reads_itself_again(tmp_path, card, robot):
+def test_a_card_takes_missing_entries_from_the_robot_and_reads_its_own_file(tmp_path, card, robot):
     whole = fitted(card(tracked=[], expected={}), robot(bounds=(0.2, 1.0)))
     assert whole.neutral == [0.2, 0.2] and whole.settle == 0.0 and whole.outputs == list(OUTPUTS)
     (tmp_path / "card.yaml").write_text(whole.text())
@@ -44,7 +44,7 @@ def test_a_card_that_does_not_fit_the_robot_is_refused(card, robot, changes, wor
 
 @pytest.mark.parametrize("changes", [{"displacement_limit": 0}, {"rate_limit": float("nan")}, {"ramp": -1},
                                      {"settle": -1}, {"tracked": ["x"]}, {"blind_limit": float("inf")}])
-def test_limits_that_make_no_sense_are_refused(card, changes):
+def test_impossible_limits_are_refused(card, changes):
     with pytest.raises(ValueError, match=next(iter(changes))):
         card(**changes)
 
@@ -64,8 +64,8 @@ def test_noise_drift_and_missing_samples_at_rest_are_measured(guarded, robot):
     np.testing.assert_allclose(noise["drift_m_s"], 1e-4, atol=5e-6)
     assert noise["missing"] == pytest.approx(0.037, abs=0.003) and noise["held"] == 0 and noise["jitter"] is None
     faults = noise_faults(noise, plant)
-    assert len(faults) == 2 and "from its zero" in faults[0] and "drifts by" in faults[1]
-    assert "no clock of its own" in noise_said(noise, plant)
+    assert len(faults) == 2 and "from zero under the neutral input" in faults[0] and "drifts by" in faults[1]
+    assert "no time of its own clock" in noise_said(noise, plant)
 
 
 def test_repeated_samples_uneven_sampling_and_noise_that_looks_like_speed_are_named(guarded, robot):
@@ -83,11 +83,11 @@ def test_repeated_samples_uneven_sampling_and_noise_that_looks_like_speed_are_na
     assert noise["held"] == pytest.approx(0.2, abs=0.01) and noise["jitter"] == pytest.approx(0.4, abs=1e-6)
     np.testing.assert_allclose(noise["std_m"], 1e-4, rtol=0.2)
     faults = " ".join(noise_faults(noise, plant))
-    assert "20 % of the samples" in faults and "40 % of a timestep" in faults and "looks like 0.0" in faults
+    assert "20 % of the samples" in faults and "40 % of a timestep" in faults and "looks like a speed of 0.0" in faults
 
 
 def test_silent_sensors_are_refused(guarded, robot):
-    with pytest.raises(ValueError, match="sensors are silent"):
+    with pytest.raises(ValueError, match="check the sensors"):
         measure_noise(guarded(robot(lost=range(1, 10_000)), blind_limit=100.0), 1.0)
 
 
@@ -102,7 +102,7 @@ def test_gain_and_delay_of_a_known_robot_are_found(guarded, robot, delay):
     assert channel_faults(answers, EXPECTED, OUTPUTS) == []
 
 
-def test_steps_grow_until_the_answer_is_loud_and_no_further_than_near_the_limit(guarded, robot):
+def test_steps_grow_until_the_answer_is_large_or_near_the_limit(guarded, robot):
     quiet = measure_steps(guarded(robot(noise=1e-6)), np.full(3, 1e-6))
     assert [answer.size for answer in quiet] == [1 / 32, 1 / 32]
     near = measure_steps(guarded(robot(noise=1e-3), displacement_limit=0.012), np.full(3, 1e-3))
@@ -122,7 +122,7 @@ def test_wrong_channels_are_named(guarded, robot, wiring, words):
     assert table.count("\n") == 3 and ("nothing" in table) == ("dead" in words[0])
 
 
-def test_names_with_signs_say_what_is_expected_and_a_robot_that_agrees_has_no_faults(card):
+def test_signs_in_the_names_give_the_expectation_and_a_robot_that_agrees_has_no_faults(card):
     plant = SlowManifold()
     expected = expectations({}, plant.input_names, plant.output_names)
     assert expected == {"cable_+x": "+tip_x", "cable_-x": "-tip_x", "cable_+y": "+tip_y", "cable_-y": "-tip_y"}
@@ -149,7 +149,7 @@ def disc(radius, centre):
     return TrajectoryDataset([run], np.zeros(3), OUTPUTS, ("left", "right"), "1")
 
 
-def test_the_reach_is_what_the_recordings_show_to_every_side():
+def test_the_reach_is_the_smallest_distance_over_all_directions_of_the_recordings():
     data = disc(0.03, np.array([0.0, 0.01]))
     assert reach(data, ["x", "y"], np.array([0.0, 0.01])) == pytest.approx(0.03, rel=0.01)
     assert reach(data, ["x", "y"], np.zeros(2)) == pytest.approx(0.02, rel=0.01)

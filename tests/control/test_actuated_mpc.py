@@ -46,7 +46,7 @@ def augmented(A, B, share, delay):
 
 
 @pytest.mark.parametrize(("delay", "lag"), [(0, 0.02), (1, 0.0), (3, 0.02)])
-def test_it_is_the_controller_of_the_model_with_the_actuators_states(bench, delay, lag):
+def test_the_controller_equals_one_for_the_model_extended_by_the_actuators_states(bench, delay, lag):
     """On a linear plant with exactly that actuator; it looks as far beyond the delay as the other one in all."""
     A, B, _ = bench.oscillators(0, 1, 0).linearize(np.zeros(6), np.zeros(4))
     actuator = Actuator(H, RANGE, delay=delay, lag=lag)
@@ -101,7 +101,7 @@ SETTINGS = {"period": H, "horizon": 10, "move_weight": 300.0, "input_weight": 20
 
 
 @pytest.mark.parametrize(("actuator", "most"), [(SLOW, 4e-4), (RUBBING, 3e-4)], ids=["delay and lag", "and rubbing"])
-def test_a_robot_behind_an_actuator_is_followed_by_who_knows_it_and_hardly_by_who_does_not(bench, actuator, most):
+def test_a_controller_that_knows_the_actuator_tracks_and_one_that_does_not_hardly_does(bench, actuator, most):
     knows, does_not = (bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, **SETTINGS | {"actuator": which})
                        for which in (actuator, None))
     commands, error = tracked(bench, knows, actuator)
@@ -124,7 +124,7 @@ def test_the_reference_is_reached_from_where_the_robot_hangs_within_the_time_of_
 @pytest.mark.parametrize("settings", [{}, {"input_rate": 5.0}, {"actuator": RUBBING},
                                       {"actuator": RUBBING, "input_rate": 5.0}, {"input_rate": 5.0, "qp": "daqp"}],
                          ids=["delay and lag", "rate", "rubbing", "rubbing, rate", "rate, daqp"])
-def test_bounds_that_shut_between_steps_are_met_at_once_and_open_again(bench, settings):
+def test_bounds_that_are_narrowed_between_steps_hold_at_once_and_can_be_widened_again(bench, settings):
     if settings.get("qp") == "daqp":
         pytest.importorskip("daqp", reason="needs pip install 'ssmr_torch[daqp]'")
     settings = SETTINGS | {"actuator": SLOW, "observer": WATCH} | settings
@@ -165,7 +165,7 @@ def test_after_a_reset_the_same_measurements_give_the_same_commands_to_the_last_
 
 @pytest.mark.parametrize(("actuator", "period"), [(replace(SLOW, input_range=(0.6,) * 3), H),
                                                   (replace(SLOW, timestep=0.02), H), (SLOW, 0.02)])
-def test_an_actuator_of_other_inputs_or_times_is_refused_with_both(bench, actuator, period):
+def test_an_actuator_with_other_inputs_or_timestep_is_refused_with_both_numbers(bench, actuator, period):
     with pytest.raises(ValueError, match=f"the actuator has {len(actuator.input_range)} inputs and steps of "
-                                         f"{actuator.timestep:g} s; expected 4, and the timestep 0.01 s as the period"):
+                                         f"{actuator.timestep:g} s; expected 4 inputs and the timestep 0.01 s"):
         bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, period=period, actuator=actuator)

@@ -41,12 +41,12 @@ def on_a_rig(bench, u, **settings):
     ({"cable_friction": 0.1}, Actuator(H, RANGE, friction=0.1)),
     ({"rate_limit": 3.0}, Actuator(H, RANGE, rate=5.0)),
     ({"rate_limit": 3.0, "actuator_lag": 0.015}, Actuator(H, RANGE, rate=5.0, lag=0.015))])
-def test_what_acts_is_what_reaches_a_plant_on_a_rig_step_by_step(bench, settings, actuator):
+def test_the_acting_inputs_equal_those_of_a_rig_step_by_step(bench, settings, actuator):
     u = commands()
     np.testing.assert_allclose(actuator.acting(u), on_a_rig(bench, u, **settings)[0], rtol=0, atol=1e-12)
 
 
-def test_a_delay_of_the_rigs_sensors_is_one_of_the_actuator(bench):
+def test_a_delay_of_the_rigs_sensors_counts_as_a_delay_of_the_actuator(bench):
     u, plain = commands(), bench.ModelPlant(bench.oscillators())
     _, seen = on_a_rig(bench, u, sensor_delay=0.02, actuator_lag=0.01)
     acting = Actuator(H, RANGE, delay=2, lag=0.01).acting(u)
@@ -55,7 +55,7 @@ def test_a_delay_of_the_rigs_sensors_is_one_of_the_actuator(bench):
 
 
 @pytest.mark.parametrize(("noise", "share"), [(0.0, 0.05), (0.05, 0.65)])
-def test_friction_before_a_lag_stands_for_friction_behind_it_the_better_the_calmer_the_commands(bench, noise, share):
+def test_friction_before_a_lag_approximates_friction_after_it_better_for_calmer_commands(bench, noise, share):
     """The rig's cables rub behind the motors' lag: another hysteresis. How much of what friction does is missed."""
     u, lag = commands(noise=noise), Actuator(H, RANGE, lag=0.01)
     there = on_a_rig(bench, u, actuator_lag=0.01, cable_friction=0.1)[0][20:]
@@ -74,7 +74,7 @@ def test_sample_by_sample_is_the_same_as_all_at_once(actuator):
 
 
 @pytest.mark.parametrize("actuator", PARTS.values(), ids=PARTS)
-def test_what_is_decided_acts_whatever_is_commanded_next(actuator):
+def test_delayed_commands_act_whatever_is_commanded_next(actuator):
     u, d, state = commands(60), actuator.delay, ActuatorState(actuator)
     state.rest_at(u[0])
     for command in u[:40]:
@@ -91,7 +91,7 @@ def test_what_is_decided_acts_whatever_is_commanded_next(actuator):
 
 @pytest.mark.parametrize("lowest", [0.0, -0.6])
 @pytest.mark.parametrize("name", ["play", "friction", "all"])
-def test_the_crossing_transmits_what_is_wanted_from_wherever_it_was_held(name, lowest):
+def test_the_crossing_transmits_the_wanted_input_from_any_held_input(name, lowest):
     actuator, rng = PARTS[name], np.random.default_rng(0)
     bounds = np.tile([[lowest], [0.6]], 4)
     low, high = actuator.reachable(bounds)
@@ -107,7 +107,7 @@ def test_the_crossing_transmits_what_is_wanted_from_wherever_it_was_held(name, l
         assert ((near - held[~far]) * (near - wanted[~far]) <= 1e-15).all()  # never beyond it, never away from it
 
 
-def test_the_ends_of_what_is_reachable_are_what_the_bounds_transmit():
+def test_the_reachable_range_ends_at_what_the_bounds_transmit():
     bounds = np.array([[0.0, -0.6, 0.1, -0.3], [0.6, 0.6, 0.5, 0.6]])
     low, high = WHOLE.reachable(bounds)
     np.testing.assert_allclose(WHOLE.transmitted(low, bounds[1]), high, atol=1e-15)
@@ -116,14 +116,14 @@ def test_the_ends_of_what_is_reachable_are_what_the_bounds_transmit():
     np.testing.assert_allclose(WHOLE.crossing(high, low), bounds[0], atol=1e-15)
 
 
-def test_without_play_and_friction_what_is_wanted_is_the_command():
+def test_without_play_and_friction_the_command_is_the_wanted_input():
     actuator, bounds = PARTS["lag"], np.tile([[0.0], [0.6]], 4)
     np.testing.assert_array_equal(actuator.crossing(np.zeros(4), np.full(4, 0.3)), np.full(4, 0.3))
     np.testing.assert_array_equal(actuator.transmitted(np.zeros(4), np.full(4, 0.3)), np.full(4, 0.3))
     np.testing.assert_array_equal(actuator.reachable(bounds), bounds)
 
 
-def test_the_matrix_of_a_lag_is_the_derivative_of_what_it_leaves():
+def test_the_matrix_of_a_lag_is_the_derivative_of_its_output():
     N, start, step = 7, np.array([0.1, 0.5, 0.0, 0.3]), 1e-3
     u = commands(N)[1:]
 
@@ -161,6 +161,6 @@ def test_a_copy_goes_on_as_the_original_does(copied):
     ({"input_range": [0.6, 0.0]}, "expected 2 finite numbers, all positive"),
     ({"gain": [1.0]}, r"gain of an actuator is \[1.0\]; expected 4 finite numbers, all positive"),
     ({"gain": [1.0, 1.0, 1.0, -1.0]}, "all positive"), ({"offset": [np.inf] * 4}, "offset of an actuator .* 4 finite")])
-def test_numbers_without_meaning_are_refused_with_what_was_expected(changes, said):
+def test_impossible_numbers_are_refused_with_what_was_expected(changes, said):
     with pytest.raises(ValueError, match=said):
         Actuator(**{"timestep": H, "input_range": RANGE} | changes)

@@ -47,7 +47,7 @@ def ahead_of(constraints, start=(0.0, 0.0), velocity=(0.0, 0.0), time=0.0):
     return constraints.ahead(time, 0.02, here)
 
 
-def test_the_path_is_exact_for_what_accelerates_evenly_and_passes_through_every_prediction():
+def test_the_path_is_exact_for_constant_acceleration_and_passes_through_every_prediction():
     time = np.arange(N * 5 + 1) / 5
 
     def at(time):
@@ -77,7 +77,7 @@ def test_rows_touch_the_circle_and_hold_the_prediction_at_its_clearance_between_
             np.testing.assert_array_equal(weights[point // 2, 3:], np.tile(np.eye(N)[point // 2], (3, 1)))
 
 
-def test_what_keeps_the_rows_keeps_the_straight_pieces_out_of_the_circle():
+def test_outputs_that_satisfy_the_rows_keep_the_straight_pieces_out_of_the_circle():
     rng = np.random.default_rng(0)
     constraints = constraints_with((Circle((0.004, 0.0), 0.0015),))
     kept = 0
@@ -220,7 +220,7 @@ def test_a_hard_constraint_is_kept_where_the_soft_one_is_traded_for_tracking(ben
     assert plans[1].violation < 1e-6 and plans[1].qp_status is Status.SOLVED and plans[1].status is not Status.SOFTENED
 
 
-def test_a_hard_constraint_that_no_input_can_keep_is_softened_and_said(bench):
+def test_a_hard_constraint_that_no_input_can_keep_is_softened_and_reported(bench):
     bounds = np.array([[-np.inf] * 6, [-0.004] + [np.inf] * 5])
     plans = [plan_of(bench, problem_of(bench, constraints_with(output_bounds=bounds, hard=hard)))
              for hard in (False, True)]
@@ -228,7 +228,7 @@ def test_a_hard_constraint_that_no_input_can_keep_is_softened_and_said(bench):
     assert plans[1].violation == pytest.approx(plans[0].violation, rel=0.1) and plans[1].violation > 1e-3
 
 
-def test_the_record_and_its_metrics_tell_what_the_plans_violated(bench, tmp_path):
+def test_the_record_and_its_metrics_hold_the_violations_of_the_plans(bench, tmp_path):
     task = replace(figure_eight(laps=1.0), obstacles=(Circle((0.0, 0.0), 0.003),))  # the robot starts inside
     plant = bench.ModelPlant(bench.oscillators())
     controller = ModelPredictiveController(plant.model, task, bench.BOUNDS, hard_constraints=True)
@@ -255,12 +255,12 @@ def test_margins_keep_the_robot_that_much_further_away(bench):
     ({"output_bounds": np.zeros((2, 6))}, "lowest below highest"),
     ({"output_bounds": np.ones(6)}, "expected \\(2, 6\\)"),
     ({"linear": 0.0}, "positive weights")])
-def test_constraints_without_meaning_are_refused(options, message):
+def test_impossible_constraints_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         constraints_with(**options)
 
 
-def test_a_control_step_later_each_variable_and_row_continues_its_like_one_stage_on():
+def test_one_control_step_later_each_variable_and_row_continues_that_of_the_next_stage():
     """Two inputs, three stages of two points, a circle: inputs 0-5, slacks 6-11; rate rows 0-3, soft rows 4-9."""
     constraints = OutputConstraints(2, 3, (0, 1), [Circle((0.0, 0.03), 0.01)], linear=1e7, quadratic=1e9)
     problem = TrackingProblem(lambda time: np.zeros((len(time), 2)), np.array([[0.0, 0.0], [1.0, 1.0]]),

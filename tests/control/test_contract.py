@@ -105,7 +105,7 @@ def test_inputs_are_finite_and_inside_the_bounds_whatever_is_measured(controller
     assert (bench.BOUNDS[0] <= inputs).all() and (inputs <= bench.BOUNDS[1]).all()
 
 
-def test_arrays_of_the_caller_are_left_alone_and_those_returned_are_the_callers(controller):
+def test_arrays_of_the_caller_are_not_changed_and_returned_arrays_are_copies(controller):
     clean = inputs_of(controller, measurements())
     controller.reset()
     spoilt = []
@@ -125,7 +125,7 @@ def test_read_only_and_single_precision_measurements_are_accepted(controller):
     assert np.isfinite(controller(0.0, observation).input).all()
 
 
-def test_it_brings_the_plant_along_the_task(controller, bench):
+def test_the_plant_follows_the_task(controller, bench):
     record = simulate(bench.ModelPlant(bench.oscillators()), controller, controller.task)
     assert np.abs(record.error).max() < 0.25 * np.abs(record.reference).max()
     assert not record.fallback.any()

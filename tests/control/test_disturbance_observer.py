@@ -73,7 +73,7 @@ def test_a_load_from_the_start_is_known_at_once_and_stays_known(bench):
 
 
 @pytest.mark.parametrize("where", ["outputs", "inputs"])
-def test_a_load_that_is_put_on_later_is_found_without_bias(bench, where):
+def test_a_load_that_is_added_later_is_estimated_without_bias(bench, where):
     """At rest, w(z) + d is the mean of what is measured; and d is the load where that is one of the outputs."""
     model, load, v = linear(bench), np.array([0.005, -0.003, 0.002]), np.array([0.2, 0.0, 0.1, 0.0])
     pull, rng, z, sums, most = np.array([0.02, 0.0, 0.0, 0.01]), np.random.default_rng(1), np.zeros(6), [], 6000
@@ -107,7 +107,7 @@ def test_a_single_outlier_is_left_out_and_over_after_three_samples(bench, at, si
     assert spoilt.counts == {"gated": 1} and not clean.counts
 
 
-def test_a_robot_that_has_really_moved_is_believed_after_three_samples(bench):
+def test_a_robot_that_has_really_moved_is_accepted_after_three_samples(bench):
     model, observer = linear(bench), observer_of(linear(bench))
     for k in range(700):
         observer.measure(np.full(3, 0.0 if k < 600 else 0.02), np.zeros(4))
@@ -115,7 +115,7 @@ def test_a_robot_that_has_really_moved_is_believed_after_three_samples(bench):
     assert observer.counts == {"gated": 3} and np.abs(model.decode(z) + d - 0.02).max() < 1e-3
 
 
-def test_missing_samples_are_bridged_by_the_model_and_left_to_the_controller_to_count(bench):
+def test_missing_samples_are_bridged_by_the_model_and_counted_by_the_controller(bench):
     model, observer, rng = linear(bench), observer_of(linear(bench)), np.random.default_rng(2)
     inputs, outputs = driven(model, 500, np.full(3, 0.004))
     lost = rng.uniform(size=500) < 0.3
@@ -128,7 +128,7 @@ def test_missing_samples_are_bridged_by_the_model_and_left_to_the_controller_to_
     assert not observer.counts  # the controller's sampling counts them, and the two are added
 
 
-def test_a_gap_in_time_leaves_the_disturbance_and_a_robot_that_moved_on_is_found_again(bench):
+def test_after_a_gap_in_time_the_disturbance_is_kept_and_the_state_is_found_again(bench):
     model, load = linear(bench), np.array([0.02, -0.01, 0.004])
     observer, (inputs, outputs) = observer_of(model), driven(model, 300, load)
     for k in (*range(100), *range(170, 300)):
@@ -147,7 +147,7 @@ def test_before_the_first_whole_measurement_there_is_no_disturbance(bench):
         assert np.abs(observer.state()[2] - (0.02 if k >= 12 else 0.0)).max() < 20 * NOISE
 
 
-def test_a_state_beyond_the_recorded_range_that_mispredicts_starts_anew_from_the_chart_and_keeps_the_disturbance(bench):
+def test_a_mispredicting_state_outside_the_recorded_range_restarts_from_the_chart_and_keeps_the_disturbance(bench):
     model = bench.oscillators(0, 1, 0)
     observer, y = observer_of(model, gain=np.vstack([0.05 * np.eye(6), np.zeros((6, 6))])), np.full(6, 0.003)
     observer.measure(y, np.zeros(4))
@@ -162,7 +162,7 @@ def test_a_state_beyond_the_recorded_range_that_mispredicts_starts_anew_from_the
     np.testing.assert_allclose(d, y, atol=1e-12)
 
 
-def test_a_model_that_leaves_its_range_at_rest_rests_at_rest(bench):
+def test_a_model_that_leaves_its_range_at_rest_starts_at_the_charts_state(bench):
     model = bench.oscillators(0, 1, 0)
     z, y = observer_of(model).rest(np.array([9.0, 0.0, 0.0, 0.0]))
     np.testing.assert_allclose(z, np.zeros(6))
@@ -204,6 +204,6 @@ def test_the_steps_of_a_compiled_model_are_its_own(bench):
         np.testing.assert_allclose(output, model.decode(model.step(z, u)), rtol=1e-12)
 
 
-def test_sizes_that_do_not_fit_the_model_are_refused_with_both(bench):
-    with pytest.raises(ValueError, match=r"gain has shape \(6, 6\).*6 states and 6 outputs needs \(12, 6\)"):
+def test_sizes_that_do_not_fit_the_model_are_refused_with_both_shapes(bench):
+    with pytest.raises(ValueError, match=r"gain has shape \(6, 6\).*expected \(12, 6\)"):
         observer_of(bench.oscillators(), gain=np.eye(6))

@@ -87,7 +87,7 @@ def lifted(rng, bilinear, relift, constant=True, repeats=2):
     (LinearHorizon, lambda rng: lifted(rng, False, False)),
     (LinearHorizon, lambda rng: lifted(rng, False, False, constant=False)),
     (LinearizedHorizon, lambda rng: lifted(rng, True, True, constant=False))])
-def test_models_in_discrete_time_have_the_horizon_that_suits_them_and_it_equals_the_batched_one(bench, kind, make):
+def test_models_in_discrete_time_get_the_fastest_horizon_and_it_equals_the_batched_one(bench, kind, make):
     rng = np.random.default_rng(5)
     model, problem = make(rng), problem_of(bench)
     horizon, twin = horizon_for(model, problem), LinearizedHorizon(model.at_timestep(problem.period), problem)
@@ -110,7 +110,7 @@ PLANAR = ConstantCurvature(((0.05, 0.0), (0.0, 0.03), (0.02, 0.02)))
     ARCS, PLANAR, Identity(6), Mixture((PLANAR, Identity(6), ARCS), (0.5, 0.2, 0.3), 6),
     Mixture((Mixture((ARCS, Identity(6)), (0.5, 0.5), 6), PLANAR), (0.25, 0.75), 6)],
     ids=["arcs", "arcs in a plane", "identity", "mixture", "mixture within"])
-def test_the_kernel_sees_outputs_through_their_coordinates_as_the_model_does(bench, coordinates):
+def test_the_kernel_computes_output_coordinates_as_the_model_does(bench, coordinates):
     rng, sides = np.random.default_rng(3), coordinates.latent(6) // 6
     model = joint(rng, 2, 2, 2, True, edge=0.02)
     model = replace(model, coordinates=coordinates, reach=2.0, chart=np.tile(np.eye(6), (1, sides)) / sides,
@@ -208,7 +208,7 @@ def test_a_diverging_rollout_is_not_hidden(bench):
 
 def test_a_model_of_other_sizes_is_refused(bench):
     problem = problem_of(bench, output_weight=np.ones(3), terminal_weight=0.0)
-    with pytest.raises(ValueError, match="6 outputs; the problem has 4 and 3"):
+    with pytest.raises(ValueError, match="6 outputs; expected 4 and 3"):
         horizon_for(bench.oscillators(), problem)
 
 
@@ -222,7 +222,7 @@ def test_a_model_of_other_sizes_is_refused(bench):
     ({"horizon": 0}, "positive number of control steps"),
     ({"period": 0.0}, "positive time"),
 ])
-def test_a_problem_without_meaning_is_refused(bench, changes, message):
+def test_an_impossible_problem_is_refused(bench, changes, message):
     with pytest.raises(ValueError, match=message):
         problem_of(bench, **changes)
 

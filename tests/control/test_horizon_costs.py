@@ -121,7 +121,7 @@ def test_the_compiled_horizon_equals_its_numpy_twin(bench, costs):
 
 
 @pytest.mark.parametrize("kind", HORIZONS)
-def test_an_actuator_in_the_horizon_is_what_acts_rolled_out_without_it(bench, kind):
+def test_a_horizon_with_an_actuator_equals_one_without_it_under_acting_inputs(bench, kind):
     problem, (state, inputs) = problem_of(bench), point_of(5)
     with_it, without = (horizon_of(bench, kind, problem, actuator) for actuator in (LAG, None))
     acting = lagged(inputs, with_it.lagged_from, LAG.share, LAG.factor, LAG.shift)
@@ -165,9 +165,9 @@ def test_huber_of_a_small_error_is_its_square_and_of_a_large_one_its_tangent(ben
 @pytest.mark.parametrize(("changes", "said"), [
     ({"huber": -1.0}, "huber is -1.0 m"), ({"move_weight": -1.0}, "none negative"),
     ({"huber": 1e-3, "output_weight": 1e8 * np.array([1, 2, 0, 0, 0, 0])}, "output_weight is .* the same number"),
-    ({"huber": 1e-3, "terminal_weight": 1e7}, "terminal_weight is .* zero for the rest"),
+    ({"huber": 1e-3, "terminal_weight": 1e7}, "terminal_weight is .* zero for the others"),
     ({"move_weight": [1.0, 2.0]}, r"move_weight has shape \(2,\); expected one number or \(4,\)"),
     ({"input_target": [0.1, 0.2]}, r"input_target has shape \(2,\); expected 4 finite numbers")])
-def test_costs_without_meaning_are_refused(bench, changes, said):
+def test_impossible_costs_are_refused(bench, changes, said):
     with pytest.raises(ValueError, match=said):
         problem_of(bench, **changes)

@@ -156,7 +156,7 @@ def test_measurements_that_are_known_to_be_late_are_brought_up_to_date_by_the_mo
         ModelPredictiveController(model, task, bench.BOUNDS, measurement_delay=0.015)
 
 
-def test_a_frozen_sensor_is_noticed_counted_and_forgiven(bench):
+def test_a_frozen_sensor_is_noticed_and_counted_until_it_recovers(bench):
     model, task = bench.oscillators(), figure_eight(laps=1.0)
     controller, plant = ModelPredictiveController(model, task, bench.BOUNDS), bench.ModelPlant(bench.oscillators())
     observation, commands, seen = plant.reset(), [], None
@@ -201,7 +201,7 @@ def test_a_prepared_step_costs_what_an_unprepared_one_does(bench):
 
 @pytest.mark.parametrize("extended", [False, True])
 @pytest.mark.parametrize("spoilt", [1e3, 1e30])
-def test_a_filter_that_was_led_astray_starts_anew_from_the_chart(bench, extended, spoilt):
+def test_a_filter_that_has_diverged_restarts_from_the_chart(bench, extended, spoilt):
     model = bench.oscillators()
     observer, z = KalmanObserver(model, np.full(4, 0.6), extended=extended), np.zeros(6)
     for k in range(120):
@@ -216,7 +216,7 @@ def test_a_filter_that_was_led_astray_starts_anew_from_the_chart(bench, extended
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"disturbance": "state"}, "expected one of"), ({"process_noise": 0.0}, "all must be positive")])
-def test_observers_without_meaning_are_refused(bench, options, message):
+    ({"disturbance": "state"}, "expected one of"), ({"process_noise": 0.0}, "expected positive numbers")])
+def test_impossible_settings_of_an_observer_are_refused(bench, options, message):
     with pytest.raises(ValueError, match=message):
         KalmanObserver(bench.oscillators(), np.full(4, 0.6), **options)

@@ -11,7 +11,7 @@ from ssmr_torch.control.sampling import BEYOND, RecordedRange, read
 @pytest.mark.parametrize("given", [
     [1, 2, 3], (1.0, 2.0, 3.0), np.array([1, 2, 3]), np.array([1, 2, 3], dtype=np.float32), np.array([1, 2, 3], object),
     torch.tensor([1.0, 2.0, 3.0]), ["1", "2", 3]])
-def test_numbers_are_read_whatever_holds_them(given):
+def test_numbers_are_read_from_any_container(given):
     np.testing.assert_array_equal(read(given, 3)[0], [1.0, 2.0, 3.0])
 
 
@@ -19,7 +19,7 @@ def test_numbers_are_read_whatever_holds_them(given):
     np.ma.array([1.0, 99.0, 3.0], mask=[False, True, False]), np.ma.array([1, 99, 3], mask=[False, True, False]),
     [1.0, None, 3.0], [1.0, "lost", 3.0], np.array([1.0, 2.0 + 1j, 3.0], object), [1.0, "", 3.0],
     [1.0, np.nan, 3.0]])
-def test_what_is_masked_or_no_number_is_missing(given):
+def test_masked_values_and_values_that_are_not_numbers_are_missing(given):
     np.testing.assert_array_equal(read(given, 3)[0], [1.0, np.nan, 3.0])
 
 
@@ -27,12 +27,12 @@ def test_what_is_masked_or_no_number_is_missing(given):
     (np.zeros(3), True), ([1, 2, 3], True), (np.ma.zeros(3), True), ([None, 1, 2], True), (["lost", 1, 2], False),
     ([[1], [1, 2], 3], False), (np.zeros(3, complex), False), (torch.zeros(3, requires_grad=True), False),
     ([10**400, 0, 0], False)])
-def test_it_is_said_whether_every_value_was_a_number(given, readable):
+def test_reading_tells_whether_every_value_was_a_number(given, readable):
     assert read(given, 3)[1] is readable
 
 
 @pytest.mark.parametrize("given", [np.zeros(4), [1.0, 2.0], 5.0, [[1.0, 2.0, 3.0]], None, "measurement"])
-def test_only_another_shape_is_refused(given):
+def test_only_a_wrong_shape_is_refused(given):
     with pytest.raises(ValueError, match=r"the observation has shape .*; expected \(3,\)"):
         read(given, 3)
 

@@ -40,10 +40,10 @@ TASK = figure_eight(laps=1.0)
     ({"move_weight": [0.0, np.inf]}, r"move_weight\[1\] is inf"), ({"huber": 0.0}, "huber is 0.0 m"),
     ({"input_target": 0.1}, "input_target is 0.1; expected a list of numbers, or None"),
     ({"approach": -1.0}, "approach is -1.0 s"), ({"actuator": 3.0}, "actuator is 3.0; expected an Actuator, a mapping"),
-    ({"actuator": {"lag": 0.02}}, "the actuator has lag; expected timestep and input_range as well"),
+    ({"actuator": {"lag": 0.02}}, "the actuator has only lag; expected timestep and input_range as well"),
     ({"actuator": {"timestep": 0.01, "input_range": [1.0], "delay": -1}}, "delay is -1; expected a whole number, 0"),
 ])
-def test_what_makes_no_sense_is_refused_with_what_was_given_and_what_was_expected(changes, said):
+def test_impossible_settings_are_refused_with_what_was_given_and_what_was_expected(changes, said):
     with pytest.raises(ValueError, match=said):
         PredictiveControlSettings(**changes)
 
@@ -96,7 +96,7 @@ def test_an_actuator_a_huber_cost_and_what_inputs_tend_to_are_set_on_the_command
     assert made.settings == made.settings.changed(actuator=made.settings.actuator.plain())
 
 
-def test_an_actuator_with_a_name_that_is_none_of_its_settings_is_refused_with_the_nearest_one():
+def test_an_unknown_setting_of_an_actuator_is_refused_with_the_nearest_one():
     with pytest.raises(TypeError, match="Actuator has no delays; did you mean delay"):
         PredictiveControlSettings(actuator=ACTUATOR | {"delays": 1})
 

@@ -100,7 +100,7 @@ def test_the_residuals_are_those_of_the_problem():
     assert solution.gap == pytest.approx(abs(x @ problem.H @ x + problem.g @ x + problem.row_upper @ z))
 
 
-def test_a_claim_of_success_without_small_residuals_is_refused():
+def test_a_solution_with_large_residuals_is_not_a_success():
     problem = random_problem(np.random.default_rng(3))
     claim = (problem.lower.copy(), np.zeros(D), np.zeros(0), Status.SOLVED, 1, 1e-6)
     assert QPSolution.judged(problem, *claim).status is Status.RESIDUAL_TOO_LARGE
@@ -134,7 +134,7 @@ DEFECTIVE = {
 @pytest.mark.parametrize("make", [lambda: ProxQP(2, 1), lambda: QPSolvers("proxqp", eps_abs=1e-9)],
                          ids=["ProxQP", "qpsolvers"])
 @pytest.mark.parametrize("case", DEFECTIVE)
-def test_a_problem_without_a_solution_is_named(case, make):
+def test_a_problem_without_a_solution_gets_the_status_that_says_why(case, make):
     solver = make()
     status, *arguments = DEFECTIVE[case]
     problem = QuadraticProgram(*arguments)
@@ -143,7 +143,7 @@ def test_a_problem_without_a_solution_is_named(case, make):
     np.testing.assert_allclose(solver.solve(sound).x, [1.0, 0.0], atol=1e-5)
 
 
-def test_the_iteration_limit_is_named():
+def test_the_iteration_limit_has_its_own_status():
     problem = random_problem(np.random.default_rng(4), ROWS)
     assert ProxQP(D, ROWS, tolerance=1e-12, max_iterations=1).solve(problem).status is Status.ITERATION_LIMIT
 
@@ -211,11 +211,11 @@ def test_the_arrays_of_the_problem_are_left_alone():
 
 
 def test_shapes_that_disagree_are_refused():
-    with pytest.raises(ValueError, match="disagree"):
+    with pytest.raises(ValueError, match="expected"):
         QuadraticProgram(np.eye(2), np.ones(3), np.ones(2), np.ones(2))
     with pytest.raises(ValueError, match="missing"):
         QuadraticProgram(np.eye(2), np.ones(2), *BOX, ROW[0])
-    with pytest.raises(ValueError, match="workspace holds"):
+    with pytest.raises(ValueError, match="as in this workspace"):
         ProxQP(3).solve(QuadraticProgram(np.eye(2), np.ones(2), *BOX))
     with pytest.raises(ValueError, match="not installed"):
         QPSolvers("no such solver")

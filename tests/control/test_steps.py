@@ -48,7 +48,7 @@ def rms(outputs):
     "SSMR, rate, daqp", "SSMR, 20 circles, rate", "SSMR, 20 circles, daqp", "SSMR, actuator",
     "SSMR, rubbing actuator, rate", "DMD", "DMD, Kalman", "EDMD",
     "static pregain"])
-def test_hostile_steps_raise_nothing_stay_in_bounds_end_in_time_and_leave_nothing_behind(kind):
+def test_bad_measurements_raise_no_error_and_inputs_stay_in_bounds_and_in_time(kind):
     found = hostile.endure(hostile.KINDS[kind], 2000, seed=1)
     assert not found.exceptions and not found.outside and found.fresh
     assert found.late <= 2  # of the CPU time; a collection of garbage may fall into a step
@@ -88,7 +88,7 @@ def test_a_repeated_call_changes_nothing_and_falls_back_to_the_input_that_is_hel
 
 @pytest.mark.parametrize("approach", [0.0, 0.4])
 @pytest.mark.parametrize("jump", [-0.5, 20.0])
-def test_where_time_jumps_the_controller_begins_anew_from_where_the_robot_is(bench, jump, approach):
+def test_after_a_jump_in_time_the_controller_restarts_at_the_robots_position(bench, jump, approach):
     """As one that has not moved yet but for the input that is held: it approaches the reference from there again."""
     controller, late = (bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, approach=approach,
                                          observer=OBSERVERS["output, stationary"]) for _ in range(2))
@@ -127,7 +127,7 @@ def test_clean_runs_of_wrong_models_are_not_gated(bench, observer):
         assert not controller.counts
 
 
-def test_a_robot_that_has_really_moved_is_believed_after_three_samples(bench):
+def test_a_robot_that_has_really_moved_is_accepted_after_three_samples(bench):
     observer = KalmanObserver(bench.oscillators(), np.full(4, 0.6))
     for k in range(700):
         observer.measure(np.full(6, 0.0 if k < 600 else 0.02), np.zeros(4))
@@ -135,7 +135,7 @@ def test_a_robot_that_has_really_moved_is_believed_after_three_samples(bench):
     assert observer.gated == 3 and np.abs(z + offset - 0.02).max() < 1e-3
 
 
-def test_absolute_positions_are_told_to_the_log_once_with_both_numbers_and_counted(bench, caplog):
+def test_absolute_positions_are_logged_once_with_both_numbers_and_counted(bench, caplog):
     controller = bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS)
     with caplog.at_level(logging.WARNING):
         for k in range(5):
@@ -147,7 +147,7 @@ def test_absolute_positions_are_told_to_the_log_once_with_both_numbers_and_count
 
 @pytest.mark.parametrize("settings", [{}, {"input_rate": 5.0}, {"qp": "daqp"}, {"qp": "daqp", "input_rate": 5.0},
                                       {"observer": OBSERVERS["input, extended"]}], ids=str)
-def test_an_actuator_is_shut_and_opened_again_without_a_fresh_start(bench, settings):
+def test_an_input_is_fixed_and_released_again_without_a_restart(bench, settings):
     controller = bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, **settings)
     plant = bench.ModelPlant(bench.perturbed(bench.oscillators(), 0.03))
     y, shut, inputs = plant.reset(), bench.BOUNDS.copy(), []
@@ -214,7 +214,7 @@ def test_a_cost_beyond_what_arithmetic_can_solve_is_refused_at_once(name):
     assert solution.status is Status.OUT_OF_RANGE and solution.iterations == 0
 
 
-def test_daqp_that_refuses_a_program_says_so_and_solves_the_next_one():
+def test_a_program_that_daqp_refuses_has_a_status_and_the_next_one_is_solved():
     solver = solver_named("daqp", 2, 0)
     good = QuadraticProgram(np.eye(2), np.array([-0.5, 2.0]), np.zeros(2), np.ones(2))
     for _ in range(2):
@@ -258,7 +258,7 @@ def test_every_task_can_be_copied_and_pickled(task, copied):
         np.testing.assert_array_equal(one.centers(time), other.centers(time))
 
 
-def test_a_lambda_can_be_copied_and_says_that_it_cannot_be_pickled():
+def test_a_task_with_a_lambda_can_be_copied_but_not_pickled():
     task = Task("hold", 1.0, (0,), lambda time: np.zeros((len(time), 1)))
     assert copy.deepcopy(task).reference(0.5).shape == (1, 1)
     with pytest.raises(TypeError, match="the path of task 'hold' cannot be pickled.*<lambda>"):

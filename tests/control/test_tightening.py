@@ -91,7 +91,7 @@ def test_an_actuator_is_in_the_prediction_and_its_delay_before_the_first_stage(b
     assert told.max() < 1e-12 < 1e-4 < prediction_margins(controller_of(model, bench, **settings), [run], (0, 1))[0]
 
 
-def test_a_tightened_controller_says_its_margins_keeps_them_and_starts_anew(bench):
+def test_a_tightened_controller_shows_its_margins_keeps_them_and_starts_from_the_beginning(bench):
     circle = Circle((0.0106, -0.0125), 0.004)
     run = run_of(bench.oscillators(), bench)
     controller = controller_of(bench.perturbed(bench.oscillators(), 0.03), bench,
@@ -109,7 +109,7 @@ def test_a_tightened_controller_says_its_margins_keeps_them_and_starts_anew(benc
 def test_a_run_of_another_timestep_than_the_controllers_is_refused(bench):
     run = run_of(bench.oscillators(), bench)
     faster = Trajectory(run.time / 2, run.observation, run.input)
-    with pytest.raises(ValueError, match="timestep of 0.005 s; the controller expects its own, 0.01 s"):
+    with pytest.raises(ValueError, match="timestep of 0.005 s; expected 0.01 s, as the controller"):
         prediction_margins(controller_of(bench.oscillators(), bench), [faster], (0, 1))
     with pytest.raises(ValueError, match="a model needs both"):
         prediction_margins(bench.oscillators(), [run], (0, 1), horizon=5)
@@ -118,7 +118,7 @@ def test_a_run_of_another_timestep_than_the_controllers_is_refused(bench):
 def test_a_model_whose_predictions_leave_the_reach_of_the_runs_gives_no_margin(bench):
     model = bench.oscillators()
     wild = replace(model, dynamics=40.0 * model.dynamics)
-    with pytest.raises(ValueError, match="errors of prediction is .* m after 5 steps .* the runs reach"):
+    with pytest.raises(ValueError, match="prediction errors is .* m after 5 steps .* the runs reach"):
         tightened(controller_of(wild, bench), [run_of(model, bench)])
 
 
@@ -134,7 +134,7 @@ def test_with_margins_a_wrong_model_stays_out_of_the_obstacle_that_it_enters_wit
     assert depth[0] > 1e-5 and depth[1] < 0.5 * depth[0]
 
 
-def test_runs_that_are_too_short_and_quantiles_that_are_none_are_refused(bench):
+def test_short_runs_and_impossible_quantiles_are_refused(bench):
     model = bench.oscillators()
     with pytest.raises(ValueError, match="no run is long enough"):
         prediction_margins(model, [run_of(model, bench, 10)], (0, 1), horizon=5, period=0.02)

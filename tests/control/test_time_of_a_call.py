@@ -43,18 +43,18 @@ def test_a_second_call_at_about_the_same_time_brings_nothing_new(again):
 
 
 @pytest.mark.parametrize("there", [-3, 8, 1e9])
-def test_a_jump_backwards_or_too_far_begins_anew_and_goes_on_from_there(there):
+def test_a_jump_backwards_or_too_far_restarts_the_clock_there(there):
     intervals, counts = placed(0, 1, there, there + 1)
     assert [interval.anew for interval in intervals] == [False, False, True, False] and counts == {"restarted": 1}
 
 
 @pytest.mark.parametrize("time", [np.nan, np.inf, -np.inf])
-def test_a_time_that_is_not_finite_is_taken_for_the_next_sample(time):
+def test_a_time_that_is_not_finite_counts_as_the_next_sample(time):
     intervals, counts = placed(0, 1, time, 3, time, time, 7)
     assert [interval.missed for interval in intervals] == [0, 0, 0, 0, 0, 0, 1]
     assert counts == {"without time": 3, "skipped": 1}
 
 
-def test_what_is_no_number_is_no_time():
+def test_a_time_that_is_not_a_number_counts_as_no_time():
     assert [seconds(2), seconds("0.5"), seconds(np.float32(1.0))] == [2.0, 0.5, 1.0]
     assert np.isnan([seconds(given) for given in (None, "noon", [1, 2], 10**400)]).all()

@@ -84,7 +84,7 @@ def test_inputs_in_another_unit_give_the_same_commands_in_that_unit(short_design
 
 
 @pytest.mark.parametrize("bounds", [PULL, MIXED], ids=["pull", "mixed"])
-def test_robots_that_only_pull_and_mixed_ones_are_tracked_alike(short_design, task, bounds):
+def test_robots_with_pulling_inputs_and_with_mixed_inputs_are_tracked_equally_well(short_design, task, bounds):
     robot = Oscillators(bounds, of_sensor=OF_SENSOR, of_inputs=0.002, delay=DELAY, lag=LAG, cubic=50.0)
     controller, _ = short_design(robot, recordings(robot, runs=4, seconds=12.0), task, identified=known(bounds))
     record = simulate(robot, controller, task, seed=2)
@@ -110,10 +110,10 @@ def test_a_load_from_the_start_is_approached_and_tracked_without_steady_error(de
     assert moved[record.time < 0.5].min() > 0.2 * moved[0]     # at the pace of the approach, not at once
 
 
-def test_a_known_actuator_is_taken_as_it_is(short_design, robot, data, task):
-    with pytest.raises(ValueError, match=r"the actuator has 3 inputs and steps of 0.02 s; the recordings 2 and 0.02"):
+def test_a_known_actuator_is_used_without_change(short_design, robot, data, task):
+    with pytest.raises(ValueError, match=r"the actuator has 3 inputs and steps of 0.02 s; expected 2 inputs and 0.02"):
         short_design(robot, data, task, identified=Actuator(H, (1.0, 1.0, 1.0)))
-    with pytest.raises(ValueError, match=r"steps of 0.01 s; the recordings 2 and 0.02 s"):
+    with pytest.raises(ValueError, match=r"steps of 0.01 s; expected 2 inputs and 0.02 s"):
         short_design(robot, data, task, identified=Actuator(0.01, (2.0, 2.0)))
 
 
@@ -121,13 +121,13 @@ def only(data, keep, change=lambda run: run):
     return replace(data, trajectories=tuple(change(run) for run in data if keep(run)))
 
 
-def test_data_that_are_no_dataset_are_refused(robot, task):
+def test_data_that_are_not_a_dataset_are_refused(robot, task):
     with pytest.raises(TypeError, match="data is a list; expected a TrajectoryDataset"):
         ssmr.design("auto", [1, 2], task, robot.input_bounds)
 
 
 def test_recordings_without_a_controlled_run_are_refused(robot, data, task):
-    with pytest.raises(ValueError, match="the data hold no controlled run to train on"):
+    with pytest.raises(ValueError, match="the data have no controlled run to train on"):
         ssmr.design("auto", only(data, lambda run: run.kind == "decay"), task, robot.input_bounds)
 
 
@@ -135,7 +135,7 @@ def test_recordings_too_short_to_hold_any_out_are_refused_with_both_lengths(robo
     def begun(run):
         return Trajectory(run.time[:100], run.observation[:100], run.input[:100], run.kind, run.split, run.name)
 
-    with pytest.raises(ValueError, match=r"2 s of controlled runs could be held out; expected 3 s or more"):
+    with pytest.raises(ValueError, match=r"2 s of controlled runs can be held out; expected 3 s or more"):
         ssmr.design("auto", only(data, lambda run: True, begun), task, robot.input_bounds)
 
 
@@ -154,12 +154,12 @@ def test_bounds_in_another_unit_are_refused_with_both_ranges(robot, data, task):
 
 
 @pytest.mark.parametrize("bounds", [[[-1, -1, -1], [1, 1, 1]], [[-1, 1], [1, 1]], [[-1, -1], [1, np.inf]]], ids=str)
-def test_bounds_that_are_none_are_refused_with_what_is_expected(robot, data, task, bounds):
+def test_impossible_bounds_are_refused_with_what_is_expected(robot, data, task, bounds):
     with pytest.raises(ValueError, match=r"bounds are .*; expected \(2, 2\) finite numbers"):
         ssmr.design("auto", data, task, bounds)
 
 
-def test_a_task_that_tracks_what_the_robot_has_not_is_refused_with_the_names(robot, data):
+def test_a_task_that_tracks_an_unknown_output_is_refused_with_the_names(robot, data):
     task = ssmr.tasks.circle(0.01, tracked=("x", "elbow"))
     with pytest.raises(ValueError, match=r"tracks 'elbow'; the outputs are .*'rate_z'"):
         ssmr.design("auto", data, task, robot.input_bounds)

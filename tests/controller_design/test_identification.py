@@ -1,4 +1,4 @@
-"""Claims about what is told of the actuators: delay, lag, play, cable friction, and none where there is none."""
+"""Claims about the identified actuators: delay, lag, play, cable friction, and none where there is none."""
 
 import pytest
 from oscillators import MIXED, PULL, SIGNED, H, Oscillators, recordings
@@ -36,13 +36,13 @@ def test_the_friction_of_cables_is_found_beside_delay_and_lag():
     assert told.actuator.lag == pytest.approx(0.02, abs=0.5 * H)
 
 
-def test_commands_that_act_as_they_are_have_no_actuator():
+def test_commands_that_act_directly_have_no_actuator():
     said = []
     robot = Oscillators(**NOISY)
     recorded = recordings_of(recordings(robot, runs=4, seconds=14.0, test=0), (0, 1), robot.input_bounds)
     told = identify(recorded, say=said.append)
     assert told.actuator.trivial and told.error == told.plain
-    assert "none, commands act as they are" in in_words(told.actuator) and "none" in said[0]
+    assert "none, commands act directly" in in_words(told.actuator) and "none" in said[0]
 
 
 def test_inputs_that_push_and_pull_are_never_given_the_friction_of_cables():

@@ -110,7 +110,7 @@ def test_the_margins_are_the_spectral_radii_of_those_loops(case, point):
     assert margins.nominal < 1.0
 
 
-def test_a_loop_whose_margin_is_beyond_one_runs_away_and_one_within_does_not(case, point, rng):
+def test_a_loop_with_a_margin_above_one_diverges_and_one_below_does_not(case, point, rng):
     kick = 1e-5 * rng.standard_normal(6) * case.model.state_scale
     radius = {extra: point.margins(case.observer, case.weights, extra).delayed for extra in (2, 12)}
     assert radius[2] < 1.0 < 1.02 < radius[12]
@@ -118,7 +118,7 @@ def test_a_loop_whose_margin_is_beyond_one_runs_away_and_one_within_does_not(cas
     assert calm[-20:].max() < calm[:20].max() and wild[-20:].max() > 3 * wild[:20].max()
 
 
-def test_a_loop_that_is_unstable_as_it_is_has_no_other_margins(case, point):
+def test_an_unstable_loop_has_no_other_margins(case, point):
     backwards = type(case.observer)(-case.observer.gain, case.observer.covariance, case.observer.process,
                                     case.observer.sensor)
     margins = point.margins(backwards, case.weights, extra=2)

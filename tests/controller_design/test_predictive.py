@@ -48,7 +48,7 @@ def test_a_step_of_the_model_in_si_is_the_regression_in_scaled_arrays(recorded, 
                                atol=1e-9 * np.abs(z).max())
 
 
-def test_predictions_in_si_miss_by_what_the_regression_says(fitted):
+def test_the_prediction_error_in_si_equals_that_of_the_regression(fitted):
     robot = Oscillators(**NOISY)
     recorded = recordings_of(recordings(robot, runs=3, seconds=8.0, test=0), (0, 1), robot.input_bounds)
     form = Form((0, 1), 3, 9, 2)
@@ -71,12 +71,12 @@ def test_models_that_grow_along_the_data_are_refused():
     robot = Oscillators(damping=-0.1, of_sensor=3e-5)
     recorded = recordings_of(recordings(robot, runs=4, seconds=4.0, test=0), (0, 1), robot.input_bounds)
     forms = [(Form((0, 1), 2, 8, degree), 0.01) for degree in (1, 2)]
-    with pytest.raises(ValueError, match=r"all 2 models that were tried grow beside their data \(spectral radius over "
+    with pytest.raises(ValueError, match=r"all 2 models grow outside their data \(spectral radius above "
                                          r"1.01"):
         choose_predictive(recorded, forms)
 
 
-def test_a_model_that_grows_is_passed_over_for_one_that_does_not(recorded, fitted, monkeypatch):
+def test_a_model_that_does_not_grow_is_chosen_before_one_that_grows(recorded, fitted, monkeypatch):
     from ssmr_torch.controller_design import model_choice
 
     wild, tame, other = Form((0, 1), 3, 9, 2), Form((0, 1), 3, 8, 1), Form((0, 1), 2, 10, 1)

@@ -1,4 +1,4 @@
-"""Claims about readjustment: what is found in twelve seconds of operation, and what is not believed."""
+"""Claims about readjustment: what it finds in twelve seconds of operation, and what it rejects."""
 
 from dataclasses import replace
 
@@ -59,18 +59,18 @@ def test_play_is_found(designed, expected):
     assert found.after < 0.5 * found.before and improved(controller, robot, record) < 0.6
 
 
-def test_a_robot_as_it_was_is_left_as_it_is(designed, expected):
+def test_an_unchanged_robot_keeps_its_actuator(designed, expected):
     _, record = operated(designed)
     controller, found = designed.controller.readjust(record, expected=expected)
-    assert not found.accepted and "nothing explains the record better" in found.words
+    assert not found.accepted and "no change explains the records better" in found.words
     assert controller is designed.controller
 
 
-def test_where_something_else_has_changed_it_is_not_accepted_and_both_errors_are_said(designed, expected):
+def test_a_change_that_is_not_in_the_actuators_is_not_accepted_and_both_errors_are_given(designed, expected):
     """A robot of twice the stiffness: no actuator makes it the old one."""
     _, record = operated(designed, pace=np.array([1.5, 0.7, 1.0]))
     controller, found = designed.controller.readjust(record, expected=expected)
-    assert not found.accepted and "something else has changed, record anew" in found.words
+    assert not found.accepted and "Something else has changed: record" in found.words
     assert f"{100 * expected:.3g} %" in found.words
     assert controller is designed.controller
 
@@ -80,24 +80,24 @@ def test_a_short_record_is_refused_with_both_lengths(designed):
     parts = {name: getattr(record, name)[:150] for name in
              ("time", "reference", "observation", "measurement", "input", "fallback", "solve_time", "iterations",
               "statuses", "violation")}
-    with pytest.raises(ValueError, match=r"the records last 3 s; expected 5 s or more"):
+    with pytest.raises(ValueError, match=r"the records last 3 s; expected 5 s of operation or more"):
         readjustment(designed.controller, replace(record, **parts))
 
 
 def test_a_record_that_stands_still_is_refused_with_both_shares(designed):
     _, record = operated(designed)
     slow = replace(record, input=np.full_like(record.input, 0.1) + 1e-4 * np.sin(record.time)[:, None])
-    with pytest.raises(ValueError, match=r"move by 0.01 % of their range at most; expected 2 % or more"):
+    with pytest.raises(ValueError, match=r"change by at most 0.01 % of their range; expected 2 % or more"):
         readjustment(designed.controller, slow)
 
 
 def test_a_record_of_another_robot_is_refused_with_both_sizes(designed):
     _, record = operated(designed)
-    with pytest.raises(ValueError, match=r"6 outputs and 3 inputs; the controller's model 6 and 2"):
+    with pytest.raises(ValueError, match=r"6 outputs and 3 inputs; expected 6 and 2"):
         readjustment(designed.controller, replace(record, input=np.zeros((len(record.time), 3))))
 
 
-def test_missing_samples_and_several_records_are_taken_as_they_come(designed):
+def test_missing_samples_and_several_records_are_accepted(designed):
     _, record = operated(designed, delay=DELAY + 1)
     holed = record.measurement.copy()
     holed[::37] = np.nan
@@ -105,8 +105,8 @@ def test_missing_samples_and_several_records_are_taken_as_they_come(designed):
     assert found.accepted and found.actuator.delay == DELAY + 1
 
 
-def test_what_is_expected_is_what_the_design_missed_of_its_own_runs(designed, expected):
-    """So that a robot in which something else has changed is not taken for one with other actuators."""
+def test_the_expected_error_is_the_designs_error_on_its_own_runs(designed, expected):
+    """A robot in which something else has changed is not mistaken for one with other actuators."""
     said = designed.controller.facts["operation_error"]
     assert 0.5 * expected < said < 2.0 * expected
     _, record = operated(designed, pace=np.array([1.5, 0.7, 1.0]))

@@ -24,7 +24,7 @@ def far(pulled):
     return rehearse(pulled[1].controller(LARGE))
 
 
-def test_the_static_floor_is_what_the_bounds_leave_of_a_linear_robot(pulled, far):
+def test_the_static_floor_of_a_linear_robot_follows_from_its_bounds(pulled, far):
     """The least of |G u − point| over 0 ≤ u ≤ 1.5, at each point by itself."""
     G, (lower, upper) = pulled[0].static[:2], PULL
     points = LARGE.reference(np.linspace(0.0, LARGE.duration, POINTS))
@@ -35,7 +35,7 @@ def test_the_static_floor_is_what_the_bounds_leave_of_a_linear_robot(pulled, far
     assert far.static_ise == pytest.approx(np.square(floor).mean() * samples, rel=0.01)
 
 
-def test_the_share_out_of_reach_and_the_bounds_that_hold_it_are_said(far):
+def test_the_share_out_of_reach_and_the_inputs_at_their_bounds_are_reported(far):
     assert 0.2 < far.out_of_reach < 0.9
     assert far.held and all(0.0 < share <= 1.0 for share in far.held.values())
     assert any("lowest" in name for name in far.held)

@@ -31,11 +31,11 @@ def error(case, motion, noises, how=AS_IT_IS, controller=None):
     return tracking_error(twin, controller or case.controller(motion), motion, TRACKED)
 
 
-def test_with_a_perfect_model_and_no_noise_next_to_nothing_is_missed(case, motion):
+def test_with_a_perfect_model_and_no_noise_the_error_is_nearly_zero(case, motion):
     assert error(case, motion, SILENT) < 2e-3
 
 
-def test_with_a_perfect_model_the_rest_of_the_error_is_that_of_the_noise(case, motion):
+def test_with_a_perfect_model_the_remaining_error_comes_from_the_noise(case, motion):
     """A filter passes less than a sample has, √2 σ in two outputs; ten times the noise costs ten times as much."""
     alone, ten = error(case, motion, SILENT), replace(SENSOR, sensor=10 * SENSOR.sensor)
     of_noise, of_more = (np.sqrt(error(case, motion, noises)**2 - alone**2) for noises in (SENSOR, ten))
@@ -48,7 +48,7 @@ def test_noise_of_the_sensors_shows_in_the_error(case, motion):
 
 
 @pytest.mark.parametrize("how", CASES[1:], ids=lambda how: how.name)
-def test_whatever_disturbs_the_twin_costs_accuracy_and_loses_no_good_loop(case, motion, how):
+def test_every_disturbance_of_the_twin_costs_accuracy_but_loses_no_good_loop(case, motion, how):
     assert error(case, motion, SILENT) < error(case, motion, SILENT, how) < 0.1
 
 
@@ -65,7 +65,7 @@ class Given:
         return SimpleNamespace(input=np.asarray(self.of_time(time), dtype=float))
 
 
-def test_a_loop_that_runs_away_is_counted_as_lost(case, motion):
+def test_a_diverging_loop_counts_as_lost(case, motion):
     assert error(case, motion, SILENT, controller=Given(lambda time: [1.0, 1.0])) == np.inf
 
 
@@ -83,7 +83,7 @@ def test_outputs_that_are_not_finite_are_lost_at_once(case, motion):
     assert error(case, motion, SILENT, controller=Given(lambda time: [np.nan, 0.0])) == np.inf
 
 
-def test_what_happens_before_it_begins_to_count_does_not_count(case):
+def test_errors_in_the_first_second_do_not_count(case):
     still = ssmr.tasks.path([0.0, 4.0], [[0.0, 0.0], [0.0, 0.0]], ["x", "y"])
     early = error(case, still, SILENT, controller=Given(lambda time: [float(time < 0.1 * BEGIN), 0.0]))
     assert early < 0.02

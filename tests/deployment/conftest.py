@@ -164,7 +164,7 @@ def saved(tmp_path):
 def compiled(artifacts, tmp_path_factory):
     """name → (library, model, reference batch, what the compiler said, folder), each compiled once."""
     if compiler() is None:
-        pytest.skip("no C compiler is at hand (cc, gcc, clang, or the one that CC names)")
+        pytest.skip("no C compiler was found (cc, gcc, clang, or the program in the variable CC)")
     built = {}
 
     def build(name: str):

@@ -124,7 +124,7 @@ def test_rounding_of_another_machine_is_accepted(name, tmp_path, rewrite):
     np.testing.assert_array_equal(artifact.load(saved).model.dynamics, MODELS[name].dynamics)
 
 
-def test_a_setting_that_is_newer_than_the_artifact_has_the_value_of_then(tmp_path, rewrite):
+def test_a_setting_that_is_newer_than_the_artifact_gets_its_default(tmp_path, rewrite):
     at = artifact.save(tmp_path / "old", replace(MODELS["curved"], substeps=1), **DATA)
 
     rewrite(at, noted=lambda noted: noted["plain"].pop("substeps"))
@@ -147,7 +147,7 @@ def test_artifacts_and_checkpoints_of_earlier_versions_load_and_predict_what_the
                                rtol=1e-12, atol=1e-15)
 
 
-def test_what_is_not_there_is_said_to_be_missing(tmp_path):
+def test_a_missing_artifact_is_refused_with_its_path(tmp_path):
     for path in (tmp_path / "absent", tmp_path):
         with pytest.raises(FileNotFoundError, match="no card.json.*ssmr export"):
             artifact.load(path)
@@ -160,9 +160,9 @@ def test_an_artifact_is_replaced_whole(saved):
     assert [path.name for path in saved.parent.iterdir()] == [saved.name]
 
 
-def test_what_is_no_part_of_an_artifact_is_never_overwritten(saved, tmp_path):
+def test_files_that_do_not_belong_to_an_artifact_are_never_overwritten(saved, tmp_path):
     (saved / "notes.txt").write_text("mine")
-    with pytest.raises(ValueError, match=r"exists and holds \['notes.txt'\], which are no part of an artifact"):
+    with pytest.raises(ValueError, match=r"exists and holds \['notes.txt'\], which do not belong to an artifact"):
         artifact.save(saved, MODELS["linear"], **DATA)
     assert (saved / "notes.txt").read_text() == "mine" and artifact.load(saved).card["name"] == "ours"
     file = tmp_path / "file"
@@ -189,10 +189,10 @@ def test_a_save_that_is_interrupted_leaves_the_old_artifact_as_it_was(saved, mon
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    ({"output_names": ["x"]}, "1 output names and a rest of shape \\(3,\\) for a model of 3 outputs"),
+    ({"output_names": ["x"]}, "1 output names and a rest of shape \\(3,\\) were given; the model has 3 outputs"),
     ({"rest": [0.0]}, "rest of shape \\(1,\\)"), ({"input_names": []}, "0 input names"),
-    ({"input_range": [[0.0], [1.0]]}, "bounds of shape \\(2, 1\\) for a model of 2 inputs"),
-    ({"input_range": [[0.0, 1.0], [1.0, 1.0]]}, "the lower below the upper")])
+    ({"input_range": [[0.0], [1.0]]}, "bounds of shape \\(2, 1\\) were given; the model has 2 inputs"),
+    ({"input_range": [[0.0, 1.0], [1.0, 1.0]]}, "lowest below highest")])
 def test_a_card_that_contradicts_the_model_is_refused_before_anything_is_written(tmp_path, change, message):
     with pytest.raises(ValueError, match=message):
         artifact.save(tmp_path / "model", MODELS["curved"], **(DATA | change))
@@ -217,8 +217,8 @@ def test_models_are_told_apart_by_name_and_compared_on_the_same_outputs_only(sav
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    ({"output_names": ("x", "y", "tip")}, "outputs \\['x', 'y', 'z'\\], here they are \\['x', 'y', 'tip'\\]"),
-    ({"input_names": ("u1",)}, "inputs"), ({"input_unit": "N"}, "input unit 1, here they are N")])
+    ({"output_names": ("x", "y", "tip")}, "outputs \\['x', 'y', 'z'\\], but this robot or data has \\['x'"),
+    ({"input_names": ("u1",)}, "inputs"), ({"input_unit": "N"}, "input unit 1, but this robot or data has N")])
 def test_a_plant_of_other_outputs_inputs_or_units_is_refused(saved, change, message):
     plant = {"output_names": ("x", "y", "z"), "input_names": ("u1", "u2"), "input_unit": "1"}
     artifact.check_source(artifact.load(saved), SimpleNamespace(**plant))

@@ -36,7 +36,7 @@ def test_every_function_computes_what_the_model_computes(name, compiled):
                                   "of no name, runge_kutta", "of no name, euler", "of no name, map",
                                   "of no name, lifted anew", "slow-fast, constant curvature",
                                   "slow-fast, averaged coordinates"])
-def test_so_do_saturated_models_beyond_the_range_of_their_training(kind, compiled):
+def test_saturated_models_compute_the_same_in_c_outside_the_training_range(kind, compiled):
     library, model = compiled(kind)[:2]
     batch = random_batch(model)
     assert (np.abs(5.0 * batch["state"]) > model.state_scale).any()
@@ -53,7 +53,7 @@ def test_the_file_compiles_without_a_warning_under_strict_c99_and_optimized(name
     assert done.returncode == 0, done.stderr[:2000]
 
 
-def test_the_object_asks_for_nothing_but_mathematics_and_has_no_globals_that_change(name, compiled):
+def test_the_object_file_needs_only_the_mathematics_library_and_has_no_changing_globals(name, compiled):
     at = compiled(name)[4]
     if shutil.which("nm") is None:
         pytest.skip("nm is not at hand")
@@ -157,22 +157,22 @@ def test_no_text_of_the_card_can_end_a_comment():
 
 
 def test_a_model_that_names_no_writer_is_refused_with_what_to_do(artifacts, foreign):
-    with pytest.raises(ValueError, match="a Foreign has no C form: .* leave c out of the formats, or set its c_source"):
+    with pytest.raises(ValueError, match="a Foreign cannot be written in C.* Leave c out .*, or set its c_source"):
         write_c(foreign, artifact.load(artifacts("SSSR")).card)
 
 
 def test_a_difference_is_refused_with_both_numbers():
     one = Sought(np.array([1.0, 2.0]), 1e-12)
     assert check("c", [("next", np.array([1.0, 2.0 + 4e-13]), one)]) == pytest.approx(2e-13, rel=1e-2)
-    with pytest.raises(ValueError, match="c: next differs from the model's by 2e-12 relative, more than 1e-12"):
+    with pytest.raises(ValueError, match="c: next differs from the model's by 2e-12 relative; at most 1e-12"):
         check("c", [("next", np.array([1.0, 2.0 + 4e-12]), one)])
     with pytest.raises(ValueError, match="differs from the model's by nan relative"):
         check("c", [("next", np.array([1.0, np.nan]), one)])
-    with pytest.raises(ValueError, match=r"c: next has shape \(3,\), the model's is \(2,\)"):
+    with pytest.raises(ValueError, match=r"c: next has the shape \(3,\); expected \(2,\)"):
         check("c", [("next", np.ones(3), one)])
 
 
-def test_what_rounding_leaves_open_in_the_model_itself_is_allowed_and_nothing_more(compiled):
+def test_only_differences_as_large_as_the_models_own_rounding_are_allowed(compiled):
     model, batch = compiled("SSMR")[1:3]
     assert {sought.tolerance for sought in expected(model, batch).values()} == {1e-12}
     chart = np.zeros_like(model.chart)

@@ -43,7 +43,7 @@ def test_observer_and_actuators_are_the_packages_to_1e_12(built, changes):
     assert max(differences(compiled, written, steps=400)) <= 1e-12
 
 
-def test_it_follows_the_gate_missing_samples_a_gap_in_time_and_restarts(built):
+def test_the_compiled_observer_agrees_at_outliers_missing_samples_gaps_and_restarts(built):
     compiled, written, _ = built()
     observer, rng, statuses = written.observer, np.random.default_rng(3), []
     observer.reset()
@@ -67,7 +67,7 @@ def test_it_follows_the_gate_missing_samples_a_gap_in_time_and_restarts(built):
     assert (statuses[10], statuses[20], statuses[50]) == (1, 2, 3) and statuses[100:].count(3) > 0
 
 
-def test_a_first_sample_that_is_missing_begins_at_rest(built):
+def test_the_observer_begins_at_rest_when_the_first_sample_is_missing(built):
     compiled, written, _ = built()
     written.observer.reset()
     y = np.array([np.nan, 0.001, 0.0, 0.0, 0.0, 0.002])
@@ -77,7 +77,7 @@ def test_a_first_sample_that_is_missing_begins_at_rest(built):
     np.testing.assert_allclose(np.concatenate([z, d]), np.concatenate(written.observer.state()[::2]), atol=1e-15)
 
 
-def test_actuators_rest_where_they_are_told(built):
+def test_actuators_rest_under_the_given_command(built):
     compiled, written, _ = built(rate=2.0)
     own, command = ActuatorState(written.actuator), np.array([0.3, 0.1, 0.0, 0.5])
     own.rest_at(command), compiled.rest_at(command)
@@ -94,7 +94,7 @@ def test_the_files_compile_without_a_warning_under_strict_c99(built):
     done = subprocess.run(strict, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[:2000]
     header = (deployed / "oscillators_controller.h").read_text()
-    assert "The quadratic program\n   is not in this file" in header and "OSCILLATORS_GATED = 2" in header
+    assert "The quadratic program is not in this file" in header and "OSCILLATORS_GATED = 2" in header
     assert "designed from 2.5 min of recordings" in header and "NAME" not in header
 
 

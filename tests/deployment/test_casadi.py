@@ -28,21 +28,21 @@ def test_a_stored_function_computes_what_the_model_computes(name, artifacts, tmp
     model, batch = artifact.load(artifacts(name)).model, artifact.reference(artifacts(name))
     names = ["encode", "decode", "step", "step_jacobians"][:4 if model.state_dim < LARGE else 2]
     if name in SWITCHED:
-        with pytest.raises(ValueError, match="of a PiecewiseLinearModel has no CasADi form: its equations choose by"):
+        with pytest.raises(ValueError, match="of a PiecewiseLinearModel has no CasADi form: its equations compare"):
             casadi_program.casadi_functions(model, names)
     else:
         assert difference(model, batch, names, tmp_path) <= 1e-13
 
 
 @pytest.mark.slow
-def test_so_do_the_steps_of_many_states_lifted_anew(artifacts, tmp_path):
+def test_a_stored_casadi_step_with_relifting_computes_what_the_model_computes(artifacts, tmp_path):
     loaded, batch = artifact.load(artifacts("EDMD, lifted anew")), artifact.reference(artifacts("EDMD, lifted anew"))
     assert difference(loaded.model, batch, ["step", "step_jacobians"], tmp_path) <= 1e-13
 
 
 @pytest.mark.parametrize("kind", ["SSMR", "EDMD", "control-augmented, saturated", "of no name, euler", "neural ODE",
                                   "slow-fast, constant curvature"])
-def test_the_derivatives_that_casadi_finds_are_ours(kind, models):
+def test_casadis_derivatives_equal_the_models(kind, models):
     model = models[kind]().reduced.numpy()
     step = casadi_program.casadi_functions(model, ["step"])["step"]
     z, u = casadi.SX.sym("z", model.state_dim), casadi.SX.sym("u", model.input_dim)
@@ -55,7 +55,7 @@ def test_the_derivatives_that_casadi_finds_are_ours(kind, models):
 
 
 @pytest.mark.parametrize("kind", ["slow-fast, constant curvature", "slow-fast, averaged coordinates"])
-def test_so_are_those_of_outputs_in_coordinates(kind, models):
+def test_casadis_derivatives_equal_the_models_in_output_coordinates(kind, models):
     model = models[kind]().reduced.numpy()
     decode = casadi_program.casadi_functions(model, ["decode"])["decode"]
     z = casadi.SX.sym("z", model.state_dim)

@@ -24,7 +24,7 @@ def export(*arguments, at):
 @pytest.fixture
 def with_compiler():
     if c_library.compiler() is None:
-        pytest.skip("no C compiler is at hand (cc, gcc, clang, or the one that CC names)")
+        pytest.skip("no C compiler was found (cc, gcc, clang, or the program in the variable CC)")
 
 
 def test_forms_lie_beside_the_tables_and_the_artifact_loads_as_before(saved, with_compiler):
@@ -35,7 +35,7 @@ def test_forms_lie_beside_the_tables_and_the_artifact_loads_as_before(saved, wit
     assert {path.name for path in saved.parent.iterdir()} == {"artifact"}
 
 
-def test_a_form_joins_those_that_are_there(saved):
+def test_a_new_format_is_added_beside_the_existing_ones(saved):
     deploy.deploy(saved, ["c"])
     deploy.deploy(saved, ["torch"])
     assert set(files_of(saved)) == {"ssmr_ours.c", "ssmr_ours.h", "encode.pt2", "decode.pt2", "step.pt2",
@@ -51,13 +51,13 @@ def test_a_form_that_differs_from_the_model_leaves_the_older_file_as_it_was(save
         return name, source.replace("next[i] = x[i];", "next[i] = x[i] * (1.0 + 1e-9);"), header
 
     monkeypatch.setattr(deploy, "write_c", spoiled)
-    with pytest.raises(ValueError, match="c: step differs from the model's by 1e-09 relative, more than 1e-12"):
+    with pytest.raises(ValueError, match="c: step differs from the model's by 1e-09 relative; at most 1e-12"):
         deploy.deploy(saved, ["c"])
     assert files_of(saved) == before
     assert {path.name for path in saved.parent.iterdir()} == {"artifact"}
 
 
-def test_neighbours_of_an_artifact_stay_whatever_their_names(saved):
+def test_other_files_beside_an_artifact_are_kept_whatever_their_names(saved):
     for name in ("artifact.part", "artifact.old", "artifact.deployed.part"):
         (saved.parent / name).mkdir()
         (saved.parent / name / "mine").write_text("kept")
@@ -81,7 +81,7 @@ def test_a_format_that_fails_keeps_the_others_from_being_replaced(saved, monkeyp
 def test_source_that_does_not_compile_is_refused_with_what_the_compiler_says(saved, with_compiler, monkeypatch):
     write = deploy.write_c
     monkeypatch.setattr(deploy, "write_c", lambda *given: write(*given)._replace(source="int x = ;\n"))
-    with pytest.raises(ValueError, match="refuses ssmr_ours.c:\n.*error"):
+    with pytest.raises(ValueError, match="cannot compile ssmr_ours.c:\n.*error"):
         deploy.deploy(saved, ["c"])
     assert not (saved / "deployed").exists()
 
@@ -89,11 +89,11 @@ def test_source_that_does_not_compile_is_refused_with_what_the_compiler_says(sav
 def test_without_a_compiler_the_file_is_written_and_said_to_be_unchecked(saved, monkeypatch):
     monkeypatch.setattr(deploy, "compiler", lambda: None)
     [form] = deploy.deploy(saved, ["c"])
-    assert form.error is None and "NOT CHECKED, for no C compiler was found" in str(form)
+    assert form.error is None and "NOT CHECKED: no C compiler was found" in str(form)
     assert "ssmr_ours.c" in files_of(saved)
 
 
-def test_a_compiler_that_cc_names_is_taken_first(monkeypatch, tmp_path):
+def test_the_compiler_in_the_variable_cc_is_used_first(monkeypatch, tmp_path):
     own = tmp_path / "mycc"
     own.write_text("#!/bin/sh\n")
     own.chmod(0o755)
@@ -102,10 +102,10 @@ def test_a_compiler_that_cc_names_is_taken_first(monkeypatch, tmp_path):
 
 
 def test_an_unknown_format_and_a_missing_package_are_refused_before_any_work(saved, monkeypatch):
-    with pytest.raises(ValueError, match="no format 'c99'; those that exist are c, torch, onnx, casadi"):
+    with pytest.raises(ValueError, match="unknown format 'c99'; expected some of c, torch, onnx, casadi"):
         deploy.deploy(saved, ["c", "c99"])
     monkeypatch.setitem(deploy.MODULES, "onnx", ("torch", "no_such_package"))
-    with pytest.raises(ValueError, match=r"onnx needs no_such_package; pip install 'ssmr_torch\[onnx\]'"):
+    with pytest.raises(ValueError, match=r"onnx needs no_such_package: pip install 'ssmr_torch\[onnx\]'"):
         deploy.deploy(saved, ["c", "onnx"])
     assert not (saved / "deployed").exists()
 
@@ -129,7 +129,7 @@ def test_a_replaced_artifact_takes_its_forms_with_it_unless_the_new_ones_fail(sa
 def test_a_folder_with_forms_but_no_card_is_not_taken_for_an_artifact(saved, tmp_path):
     (tmp_path / "mine" / "deployed").mkdir(parents=True)
     loaded = artifact.load(saved)
-    with pytest.raises(ValueError, match="holds \\['deployed'\\], which are no part of an artifact"):
+    with pytest.raises(ValueError, match="holds \\['deployed'\\], which do not belong to an artifact"):
         artifact.save(tmp_path / "mine", loaded.model, **{key: loaded.card[key] for key in (
             "output_names", "input_names", "rest", "input_range")})
 
@@ -143,7 +143,7 @@ def test_the_command_line_writes_the_forms_of_an_existing_artifact(saved, tmp_pa
 
 
 @pytest.mark.slow
-def test_the_command_line_says_what_to_give_where_nothing_is_given(tmp_path):
+def test_the_command_without_arguments_says_what_to_give(tmp_path):
     done = export(at=tmp_path)
     assert done.returncode != 0 and "Traceback" not in done.stderr
     assert "give either checkpoint=FILE.ckpt or mat=FILE.mat, or artifact=DIR of an existing artifact" in done.stderr

@@ -94,7 +94,7 @@ def test_a_graph_with_a_narrow_float_is_refused_by_name(tmp_path):
                              make.make_node("Cast", ["low"], ["y"], "back", to=onnx.TensorProto.DOUBLE)], "g", [value],
                             [out])
     onnx.save(make.make_model(graph), tmp_path / "step.onnx")
-    with pytest.raises(ValueError, match="step.onnx holds .*low.* of less than 64 bits"):
+    with pytest.raises(ValueError, match="step.onnx holds .*low.* with less than 64 bits"):
         onnx_program.finish(tmp_path / "step.onnx", {})
 
 
@@ -105,7 +105,7 @@ def test_elimination_solves_what_the_library_solves():
     torch.testing.assert_close(kalman.solve(S, X), torch.linalg.solve(S, X), rtol=1e-12, atol=1e-13)
 
 
-def test_a_family_from_elsewhere_has_programs_by_its_linearization_alone(foreign, tmp_path):
+def test_a_model_family_of_another_package_has_programs_from_its_linearization_alone(foreign, tmp_path):
     rng = np.random.default_rng(0)
     batch = {"state": rng.normal(size=(5, 2)), "input": rng.normal(size=(5, 2)), "window": rng.normal(size=(5, 2, 2)),
              "window_input": rng.normal(size=(5, 1, 2))}

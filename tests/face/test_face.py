@@ -74,7 +74,7 @@ def test_a_saved_model_predicts_the_same_and_keeps_its_card(data, dmd, tmp_path)
 
 
 def test_a_model_is_exported_with_its_artifact_or_not_at_all(dmd, tmp_path):
-    with pytest.raises(ValueError, match="no format"):
+    with pytest.raises(ValueError, match="unknown format"):
         dmd.export(tmp_path / "artifact", "fortran")
     with pytest.raises(ValueError, match="no formats were given by name; expected one or more"):
         dmd.export(tmp_path / "artifact", ["c", "onnx"])

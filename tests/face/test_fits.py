@@ -72,7 +72,7 @@ def test_a_controller_takes_the_models_names_and_refuses_others(dmd):
     controller = ssmr.ModelPredictiveController(dmd, task, bounds)
     assert controller.task.columns(dmd.output_names) == (1,)
     for names in (["x", "y"], ["y", "x", "z"]):
-        with pytest.raises(ValueError, match="the model has 3 outputs, .*: name these, in this order"):
+        with pytest.raises(ValueError, match="the model has 3 outputs, .*: give these names, in this order"):
             ssmr.ModelPredictiveController(dmd, task, bounds, output_names=names)
     with pytest.raises(TypeError, match="settings a dict; expected a model, .* and PredictiveControlSettings"):
         ssmr.ModelPredictiveController(dmd, task, bounds, {"horizon": 3})

@@ -274,5 +274,5 @@ def test_coordinates_of_a_user_go_through_the_linearization_and_are_refused_in_c
     problem = TrackingProblem(lambda time: np.zeros((len(time), 2)), np.array([[0.0], [1.0]]), output_weight=np.ones(2),
                               input_weight=1.0, horizon=3, period=0.01)
     assert type(horizon_for(model, problem)) is LinearizedHorizon
-    with pytest.raises(ValueError, match="Stretched of .* have no C form: .*leave c out of the formats"):
+    with pytest.raises(ValueError, match="Stretched of .* have no C form; .*Leave c out of the formats"):
         write_c(model, artifact.load(saved(tmp_path / "model", model)).card)

@@ -40,7 +40,7 @@ def test_its_slowest_frequency_is_the_cantilevers():
     assert np.abs(rates.imag)[np.abs(rates.imag) > 1.0].min() == pytest.approx(exact, rel=0.01)
 
 
-def test_it_hangs_still_where_each_element_carries_the_weight_below():
+def test_the_rod_stays_at_rest_where_each_element_carries_the_weight_below_it():
     rod = CosseratRod()
     for _ in range(20):
         drift = rod.step(np.zeros(2))
@@ -62,7 +62,7 @@ def test_signed_forces_mirror_each_other():
 
 @pytest.mark.parametrize("settings, message", [({"elements": 7}, "elements is 7"), ({"young": 0.0}, "young 0.0"),
                                                ({"substep": 3e-4}, "whole multiple")])
-def test_settings_that_make_no_rod_are_refused(settings, message):
+def test_impossible_settings_of_a_rod_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         CosseratRod(**settings)
 

@@ -136,7 +136,7 @@ def test_swings_smaller_than_the_friction_transmit_nothing():
     np.testing.assert_array_equal(rubbed([1.4, 0.8, *inner])[1:], 0.8 * SLIP)
 
 
-def test_friction_knows_the_turning_points_and_not_the_time():
+def test_friction_depends_on_the_turning_points_and_not_on_the_time():
     corners = np.array([0.0, 1.2, 0.2, 0.9, 0.5, 1.4, 0.3])
     walk = np.interp(np.arange(0, 6.001, 0.02), np.arange(7), corners)
     np.testing.assert_allclose(rubbed(walk)[::50], rubbed(corners), rtol=1e-12)
@@ -157,13 +157,13 @@ def test_the_actuators_act_one_after_the_other():
     np.testing.assert_allclose(forces(settings, commands), expected, rtol=1e-13)
 
 
-def test_saturated_forces_let_go_at_once():
+def test_saturated_forces_follow_a_smaller_command_at_once():
     """Saturation comes before the rate limit: nothing winds up."""
     np.testing.assert_allclose(forces({"saturation": 1.0, "rate_limit": 50.0}, [1.5] * 5 + [0.0]),
                                [0.5, 1.0, 1.0, 1.0, 1.0, 0.5])
 
 
-def test_the_plant_is_displaced_as_the_applied_forces_move_it_whatever_is_measured():
+def test_the_displacement_follows_the_applied_forces_and_not_the_measurement():
     robot, bare = Rig(SlowManifold(), **EVERYTHING), SlowManifold()
     for u in random_inputs(40):
         robot.step(u)
@@ -251,7 +251,7 @@ def test_a_rig_draws_other_numbers_than_a_generator_of_the_same_seed(generator):
 
 
 @pytest.mark.parametrize("dropped", ["held", "missing"])
-def test_every_saved_state_returns_the_observation_that_was_returned_there_and_goes_on_as_before(dropped):
+def test_a_saved_state_returns_the_same_observation_and_continues_the_same_way(dropped):
     robot, inputs = Rig(SlowManifold(), **EVERYTHING, dropped=dropped), random_inputs(30)
     observations, states = [robot.reset(seed=1)], [robot.state]
     for u in inputs:
@@ -308,7 +308,7 @@ def test_a_plant_that_fails_leaves_the_rigs_memory_as_it_was():
 
 # outputs
 
-def test_a_rig_that_sees_some_outputs_sees_them_as_the_plant_has_them_and_in_the_order_asked_for():
+def test_a_rig_with_some_outputs_gives_their_values_in_the_given_order():
     plant, inputs = SlowManifold(), random_inputs(50)
     names = [plant.output_names[4], plant.output_names[0]]
     seen = Rig(SlowManifold(), outputs=names)

@@ -106,7 +106,7 @@ def test_a_setting_that_must_be_positive_is_refused_with_its_value(setting):
         PressureArm(**{setting: 0})
 
 
-def test_inputs_that_make_the_integration_diverge_are_named_and_the_state_stands():
+def test_a_diverging_integration_is_refused_with_its_inputs_and_the_state_is_kept():
     arm = PressureArm(substeps=5)
     with pytest.raises(ValueError, match="diverged"):
         for _ in range(200):

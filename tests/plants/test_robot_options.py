@@ -21,7 +21,7 @@ def test_the_origin_tells_meshes_apart():
     assert len(coarse.positions) == coarse.origin["nodes"] < fine.origin["nodes"]
 
 
-def test_a_marker_that_is_none_is_left_out():
+def test_a_marker_with_the_value_none_is_left_out():
     robot = Trunk(mesh="trunk_coarse", markers={"tip": (0.0, 0.0, 0.195), "middle": None, "upper": (0.0, 0.0, 0.065)})
     assert robot.output_names == ("tip_x", "tip_y", "tip_z", "upper_x", "upper_y", "upper_z")
 
@@ -50,7 +50,7 @@ def test_a_marker_that_is_none_is_left_out():
     ({"payload": -1.0}, "payload of 0 or more"),
     ({"length_unit": "inch"}, "expected one of"),
 ], ids=str)
-def test_what_cannot_be_is_refused(changes, match):
+def test_impossible_options_are_refused(changes, match):
     for kind, mesh in ((Trunk, "trunk_coarse"), (Diamond, "diamond_coarse")):
         with pytest.raises(ValueError, match=match):
             kind(**{"mesh": mesh, **changes})

@@ -107,7 +107,7 @@ def test_the_trunk_hangs_and_the_diamond_stands():
 
 # what a step refuses, and what it counts
 
-def test_a_misfit_is_refused_and_the_state_unharmed(robot):
+def test_an_input_of_the_wrong_size_is_refused_and_the_state_is_unchanged(robot):
     run(robot, random_inputs(robot, 3))
     before = robot.state
     for misfit in (slack(robot)[1:], np.append(slack(robot), 0), np.nan * slack(robot), slack(robot)[None], 0.1):

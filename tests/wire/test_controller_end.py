@@ -200,10 +200,10 @@ def test_a_hello_repeated_before_the_first_measurement_begins_no_other_run(end, 
 
 def test_a_robot_that_the_controller_cannot_take_is_refused_with_the_reason(hello):
     def build(robot):
-        raise ValueError("the model was trained with outputs ['a'], here they are ['x', 'y']")
+        raise ValueError("the model was trained with outputs ['a'], but this robot has ['x', 'y']")
 
     end = ControllerEnd(build)
-    for data, what in ((hello(), "outputs ['a'], here"), (Message(Kind.HELLO, text="{}").pack(), "the keys")):
+    for data, what in ((hello(), "outputs ['a'], but this"), (Message(Kind.HELLO, text="{}").pack(), "the keys")):
         (_, refusal), = end.receive(b"robot", data, 0.0)
         assert refusal.kind is Kind.REFUSE and refusal.status == Code.OK and what in refusal.text
     assert end.counts == {"refused": 2} and not end.running

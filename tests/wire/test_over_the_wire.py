@@ -102,7 +102,7 @@ def test_a_remote_plant_keeps_the_promises_of_plants(integrator, background):
 
 
 def test_a_remote_plant_that_never_comes_or_leaves_ends_in_a_message(integrator, background):
-    with pytest.raises(TimeoutError, match="no robot came"):
+    with pytest.raises(TimeoutError, match="no robot connected"):
         RemotePlant("tcp://127.0.0.1:*", wait=0.05)
     with pytest.raises(OSError, match="cannot wait at"):
         RemotePlant("nonsense")

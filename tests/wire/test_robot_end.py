@@ -156,9 +156,9 @@ def test_before_any_controller_came_the_robot_is_under_the_safe_input(fake_robot
 
 
 def test_a_refusal_ends_it_with_the_controllers_reason(fake_robot, integrator):
-    robot, _ = fake_robot(lambda m: [(1e-3, Message(Kind.REFUSE, text="trained with ['a'], here they are ['x']"))],
+    robot, _ = fake_robot(lambda m: [(1e-3, Message(Kind.REFUSE, text="trained with ['a'], but this robot has ['x']"))],
                           integrator)
-    with pytest.raises(ConnectionError, match=r"refused this robot: trained with \['a'\], here they are \['x'\]"):
+    with pytest.raises(ConnectionError, match=r"refused this robot: trained with \['a'\], but this robot has \['x'\]"):
         robot.drive()
 
 

@@ -139,7 +139,7 @@ def test_settings_that_name_something_else_are_refused(settings, what):
 @pytest.mark.parametrize(("arguments", "what"), [
     ([], "give the directory of an artifact"), (["nowhere"], "no artifact at nowhere"),
     (["{shipped}", "--settings", "nowhere.json"], "nowhere.json"),
-    (["{shipped}"], "the artifact carries no designed controller; run ssmr design data.path=FILE.h5"),
+    (["{shipped}"], "the artifact has no designed controller; run ssmr design data.path=FILE.h5"),
     (["{shipped}", "--settings", "{settings}", "--bind", "nonsense"], "cannot wait at 'nonsense'"),
     (["{shipped}", "--settings", "{settings}", "--timeout", "-1"], "two positive times"),
 ])

@@ -1,4 +1,4 @@
-"""Solvers of quadratic programs by their names: a file of this folder each, with one `Workspace`."""
+"""Solvers of quadratic programs by name: each file in this folder has one `Workspace`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pkgutil import iter_modules
 from ssmr_torch.control.quadratic_program import Workspace
 from ssmr_torch.extras import BROUGHT_BY, require
 
-OTHERS = "qpsolvers:NAME, such as qpsolvers:osqp, or package.module:Class of one's own"
+OTHERS = "qpsolvers:NAME, such as qpsolvers:osqp, or your own package.module:Class"
 
 
 def solver_names() -> list[str]:
@@ -17,11 +17,11 @@ def solver_names() -> list[str]:
 
 
 def solver_named(name: str, dim: int, rows: int, **options):
-    """The solver of this name for programs of dim variables and `rows` general rows.
+    """The solver with this name, for programs of dim variables and `rows` general rows.
 
-    name: a file of this folder, qpsolvers:NAME, or package.module:Class, whose instances have `solve(QuadraticProgram)`
-    → `QPSolution` and `reset()`, perhaps `advance` as in `ProxQP` and a `deadline` as in `Workspace`; it is
-    made of (dim, rows, **options).
+    name: a file in this folder, qpsolvers:NAME, or package.module:Class. Such a class has `solve(QuadraticProgram)` →
+    `QPSolution` and `reset()`, and may have `advance` as in `ProxQP` and a `deadline` as in `Workspace`; it is called
+    with (dim, rows, **options).
     options: of its constructor. Raises ValueError for another name, ImportError where it is not installed.
     """
     module, separator, chosen = name.partition(":")
@@ -42,14 +42,14 @@ def solver_named(name: str, dim: int, rows: int, **options):
 
 
 def _foreign(module: str, name: str):
-    """A solver's class of another package. Raises ValueError with the names that are there."""
+    """A solver class of another package. Raises ValueError with the names that exist there."""
     try:
         place = import_module(module)
     except ModuleNotFoundError as error:
-        raise ValueError(f"qp is '{module}:{name}', but there is no {error.name}; expected "
+        raise ValueError(f"qp is '{module}:{name}', but the module {error.name} does not exist; expected "
                          f"{', '.join(solver_names())}, {OTHERS}") from error
     if not callable(getattr(getattr(place, name, None), "solve", None)):
         there = [each for each, value in vars(place).items() if callable(getattr(value, "solve", None))]
-        raise ValueError(f"{module} has no solver {name}, a class with solve(QuadraticProgram) and reset(); there: "
+        raise ValueError(f"{module} has no solver {name}, a class with solve(QuadraticProgram) and reset(); it has: "
                          f"{', '.join(there) or 'none'}")
     return getattr(place, name)

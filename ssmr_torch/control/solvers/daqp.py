@@ -1,4 +1,4 @@
-"""DAQP, a dual active-set solver, behind the seam of `qp.py`; the only file that knows it."""
+"""DAQP, a dual active-set solver, as a `Workspace`. No other file imports daqp."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ EXIT_FLAGS = {1: Status.SOLVED, 2: Status.CLOSEST_FEASIBLE, -1: Status.PRIMAL_IN
 class DAQP(Workspace):
     """DAQP [Arnström, Bemporad, Axehill, IEEE TAC 2022] with one workspace for problems of one size.
 
-    dim d variables, `rows` general rows. tolerance: absolute, on the primal residual. It beats ProxQP up to about 80
-    variables and where many obstacle rows are inactive.
-    Raises ImportError with what to install where daqp is missing.
+    dim: d variables; `rows`: general rows. tolerance: absolute, on the primal residual. It is faster than ProxQP up to
+    about 80 variables, and where many obstacle rows are inactive.
+    Raises ImportError, with the package to install, where daqp is missing.
     """
 
     def __init__(self, dim: int, rows: int = 0, *, tolerance: float = 1e-6, max_iterations: int = 2000):
@@ -36,7 +36,7 @@ class DAQP(Workspace):
         self._workspace = None
 
     def __getstate__(self) -> dict:
-        """DAQP's workspace cannot be copied: both the copy and the original start the next problem from nothing."""
+        """Without DAQP's workspace, which cannot be copied. Copy and original both start the next problem anew."""
         self.reset()
         return {name: value for name, value in self.__dict__.items() if name != "_library"}
 
@@ -56,13 +56,13 @@ class DAQP(Workspace):
                                  info["iterations"], self.tolerance)
 
     def _load(self, problem: QuadraticProgram) -> int:
-        """Hand over the problem. Negative where DAQP refuses it: there is then nothing to solve."""
+        """Give the problem to DAQP. Returns a negative number where DAQP refuses it; then there is nothing to solve."""
         self._upper[:self.dim], self._lower[:self.dim] = problem.upper, problem.lower
         C = self._none
         if self.rows:
             self._upper[self.dim:], self._lower[self.dim:], C = problem.row_upper, problem.row_lower, problem.C
         if not self.rows and self._workspace is not None:
-            C = None  # an update takes no empty matrix
+            C = None  # DAQP's update does not accept an empty matrix
         arguments = (problem.H, problem.g, C, self._upper, self._lower, self._sense)
         if self._workspace is None:
             self._workspace = self._library.Model()

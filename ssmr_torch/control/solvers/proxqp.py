@@ -1,4 +1,4 @@
-"""ProxQP behind the seam of `qp.py`; the only file that knows ProxSuite."""
+"""ProxQP as a `Workspace`. No other file imports ProxSuite."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ INSTRUCTIONS = "proxsuite.instructionset"
 
 
 def _without_wide_vectors():
-    """ProxQP of ProxSuite's plain build, which gives the same digits every time.
+    """ProxQP from ProxSuite's build without vector instructions, which gives the same digits every time.
 
-    Its builds for AVX sum in an order that depends on where their memory happens to lie, and the last digits with it.
-    The plain one was found as fast up to 40 variables and a fifth slower with 80. Who imports proxsuite before this
-    file gets the build that it chose then, and digits that may differ in the last places.
+    Its AVX builds sum in an order that depends on where their memory lies, which changes the last digits. The plain
+    build was measured as fast up to 40 variables, and 20 % slower with 80. A program that imports proxsuite before this
+    file gets the build that was chosen then, and perhaps different last digits.
     """
     if "proxsuite" not in sys.modules:
         sys.modules[INSTRUCTIONS] = SimpleNamespace(has_AVX512F=lambda: False, has_AVX2=lambda: False)
@@ -34,14 +34,14 @@ def _without_wide_vectors():
 
 proxqp = _without_wide_vectors()
 
-# ProxQP counts bounds of this size as absent.
+# ProxQP treats bounds of this size as absent.
 INFINITY = 1e20
-# Penalty that each program starts with: fewer iterations than its own 0.1, and the hardest programs hardly get harder.
+# Initial penalty of each program. It takes fewer iterations than ProxQP's own 0.1, and hardly more on hard programs.
 PENALTY = 3e-2
-# How much stricter the second attempt is, and how many times as long it may take.
+# The second attempt has this factor in its tolerance, and may take this many times as long.
 RETRY_FACTOR, RETRY_TIME = 1e-2, 2.0
-# Outer iterations, and inner ones in each of them: the hardest of 5000 programs among obstacles and with a limited rate
-# took 15 and fewer than 50. What takes more is not solved by 200 times 200 either.
+# Largest numbers of outer iterations, and of inner ones in each. The hardest of 5000 programs with obstacles and rate
+# limits took 15 and fewer than 50. Programs that need more are not solved by 200 times 200 either.
 OUTER, INNER = 25, 50
 
 PROXQP_STATUS = {
@@ -57,10 +57,10 @@ PROXQP_STATUS = {
 class ProxQP(Workspace):
     """ProxQP's dense backend [Bambade et al., RSS 2022] with one workspace for problems of one size.
 
-    dim d variables, `rows` general rows.
-    tolerance: absolute, on primal residual, dual residual and gap, so scale the problem first.
-    warm: start from the last solution; it pays with general rows only.
-    The preconditioner of the first problem serves all that follow until `reset`.
+    dim: d variables; `rows`: general rows.
+    tolerance: absolute, on primal residual, dual residual and gap; therefore scale the problem first.
+    warm: start from the last solution, which is faster only with general rows.
+    The preconditioner of the first problem is used for all later ones until `reset`.
     """
 
     def __init__(self, dim: int, rows: int = 0, *, tolerance: float = 1e-6, max_iterations: int = 200,
@@ -71,21 +71,21 @@ class ProxQP(Workspace):
         self.reset()
 
     def reset(self, tolerance: float | None = None) -> None:
-        """As in `Workspace`; tolerance: of this start alone."""
+        """As in `Workspace`; tolerance: for this start only."""
         tolerance = self.tolerance if tolerance is None else tolerance
         self._workspace, self._fresh, self._beginning = proxqp.dense.QP(self.dim, 0, self.rows, True), True, None
         settings = self._workspace.settings
         settings.eps_abs, settings.eps_rel = tolerance, 0.0
-        # Its own certificates of infeasibility, at their usual tolerance, also condemn feasible problems.
+        # With their usual tolerance, ProxQP's certificates of infeasibility also reject feasible problems.
         settings.eps_primal_inf = settings.eps_dual_inf = ROUNDING
-        # Without its gap ProxQP calls points solved that keep a multiplier on a bound that they do not touch.
+        # Without the gap, ProxQP accepts points that have a multiplier on a bound which is not active.
         settings.check_duality_gap = True
         settings.eps_duality_gap_abs, settings.eps_duality_gap_rel = tolerance, ROUNDING
         settings.default_mu_in = PENALTY
         settings.max_iter, settings.max_iter_in = min(self.max_iterations, OUTER), min(self.max_iterations, INNER)
 
     def __getstate__(self) -> dict:
-        """Without the workspace, whose own pickle forgets its box: it is made again from its first problem."""
+        """Without the workspace, whose own pickle loses the box. It is made again from its first problem."""
         results = None if self._fresh else (self._workspace.results.x.copy(), self._workspace.results.z.copy())
         kept = {name: value for name, value in self.__dict__.items() if name != "_workspace"}
         return kept | {"_results": results, "_known": (None, None, None)}
@@ -100,7 +100,7 @@ class ProxQP(Workspace):
             self._workspace.results.x, self._workspace.results.z = results
 
     def advance(self, variables: np.ndarray, rows: np.ndarray) -> None:
-        """Warm starts: variable i begins where variables[i] (d,) of the last program ended, and the rows (r,) alike."""
+        """Set warm starts: variable i begins at entry variables[i] (d,) of the last solution; rows (r,) likewise."""
         if self._fresh or not self.warm:
             return
         results = self._workspace.results
@@ -111,7 +111,7 @@ class ProxQP(Workspace):
         begun = thread_time()
         solution = self._attempt(problem)
         if not solution.status.success:
-            # What other problems left behind can mislead: a fresh, stricter start has the last word.
+            # The memory of other problems can mislead the solver, so the last attempt is a fresh, stricter start.
             now = thread_time()
             if now + RETRY_TIME * (now - begun) <= self.deadline:
                 self.reset(RETRY_FACTOR * self.tolerance)
@@ -130,9 +130,9 @@ class ProxQP(Workspace):
                                  PROXQP_STATUS[results.info.status], results.info.iter, self.tolerance)
 
     def _load(self, problem: QuadraticProgram) -> np.ndarray:
-        """Hand over the problem in x − shift, the middle of its box.
+        """Give the problem to ProxQP in x − shift, where shift is the middle of its box.
 
-        On a bound at zero a multiplier of the wrong sign adds nothing to the gap: ProxQP calls that solved.
+        With a bound at zero, a multiplier of the wrong sign adds nothing to the gap, and ProxQP would accept it.
         """
         lower, upper, shift = self._box(problem)
         row_lower = row_upper = None
@@ -146,7 +146,7 @@ class ProxQP(Workspace):
             self._begin(arguments)
             return shift
         if self.warm:
-            # Its "warm start" also keeps the penalty of the last program, with which some then take 150 iterations.
+            # ProxQP's "warm start" also keeps the last program's penalty, with which some take 150 iterations.
             self._workspace.settings.initial_guess = proxqp.COLD_START_WITH_PREVIOUS_RESULT
         self._workspace.update(*arguments, update_preconditioner=False)
         return shift
@@ -156,7 +156,7 @@ class ProxQP(Workspace):
         self._beginning, self._fresh = arguments, False
 
     def _box(self, problem: QuadraticProgram) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Bounds around the middle of the box, and that middle; remembered for bounds that cannot change."""
+        """Bounds relative to the middle of the box, and that middle. They are stored for bounds that cannot change."""
         if self._known[0] is problem.lower and self._known[1] is problem.upper:
             return self._known[2]
         lower = np.minimum(np.maximum(problem.lower, -INFINITY), INFINITY)

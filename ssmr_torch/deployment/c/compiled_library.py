@@ -1,4 +1,4 @@
-"""A C file compiled to a shared library and called on NumPy arrays."""
+"""Compiling C files to a shared library, and calling its functions on NumPy arrays."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
 
 
 def compiler() -> str | None:
-    """Path of the C compiler: that in the environment variable CC, or cc, gcc or clang; None where there is none."""
+    """Path of the C compiler: the environment variable CC, else cc, gcc or clang; None where there is none."""
     names = (os.environ.get("CC") or "cc", "cc", "gcc", "clang")
     return next((path for path in map(shutil.which, names) if path), None)
 
 
 def compile_library(source: Path, library: Path, flags: tuple[str, ...] = FLAGS, *others: Path) -> str:
-    """Compile NAME.c, and others with it, to a shared library and return what the compiler said. Raises ValueError
-    where it refuses.
+    """Compile NAME.c, and other files with it, to a shared library. Returns the compiler's messages. Raises ValueError
+    where compiling fails.
     """
     sources = map(str, (source, *others))
     done = subprocess.run([compiler(), *flags, "-shared", "-fPIC", "-o", str(library), *sources, "-lm"],
                           capture_output=True, text=True)
     if done.returncode:
-        raise ValueError(f"{compiler()} refuses {source.name}:\n{done.stderr[:2000]}")
+        raise ValueError(f"{compiler()} cannot compile {source.name}:\n{done.stderr[:2000]}")
     return done.stderr
 
 
 class CLibrary:
-    """The functions of a compiled model, with the shapes of `Model`; batched functions loop over the batch.
+    """The functions of a compiled model, with the shapes of `Model`. Batched functions loop over the batch.
 
-    name: the prefix of the functions.   model: the model whose sizes it has.
+    name: the prefix of the functions.   model: the model from which the C file was written; it gives the sizes.
     """
 
     def __init__(self, library: Path, name: str, model: Model):
         self._functions, self._name, self.model = ctypes.CDLL(str(library.resolve())), name, model
 
     def raw(self, function: str):
-        """NAME_function as `ctypes` has it: it takes pointers to doubles, and for `horizon` an int before them."""
+        """NAME_function as a `ctypes` function: it takes pointers to doubles; `horizon` takes an int before them."""
         found = getattr(self._functions, f"{self._name}_{function}")
         found.restype = None
         return found
 
     def call(self, function: str, arguments, shapes, before: tuple = ()) -> list[np.ndarray]:
-        """NAME_function(*before, *arguments, *outputs) → the outputs, of these shapes."""
+        """Call NAME_function(*before, *arguments, *outputs) and return the outputs, which have these shapes."""
         inputs = [np.ascontiguousarray(array, dtype=np.float64) for array in arguments]
         outputs = [np.full(shape, np.nan) for shape in shapes]
         pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (*inputs, *outputs)]

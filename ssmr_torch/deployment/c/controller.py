@@ -1,4 +1,4 @@
-"""The observer and the actuators of a designed controller in C99, beside the model's own file."""
+"""Writes the observer and the actuators of a designed controller as C99, beside the model's own file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ssmr_torch.targets import build
 
 
 class CController(NamedTuple):
-    """A C file and its header, named NAME_controller.c and .h, and what they are made of."""
+    """A C file and its header, NAME_controller.c and NAME_controller.h, and the objects that they were written from."""
 
     name: str
     source: str
@@ -27,15 +27,15 @@ class CController(NamedTuple):
 
 
 def write_controller(model: Model, card: dict, designed: dict) -> CController | None:
-    """The observer and the actuators of the controller that an artifact carries; None of one with another observer.
+    """C text of the observer and actuators of an artifact's controller; None where the controller has another observer.
 
-    Raises ValueError where the model does not step by the controller's sampling time.
+    Raises ValueError where the model's timestep differs from the controller's sampling time.
     """
     stated = designed["controller"].get("observer") or {}
     if stated.get("_target_") != f"{DisturbanceObserver.__module__}.{DisturbanceObserver.__name__}":
         return None
     if abs(model.timestep / designed["timestep"] - 1.0) > 1e-3:
-        raise ValueError(f"the model steps by {model.timestep:g} s, its controller samples every "
+        raise ValueError(f"the model has steps of {model.timestep:g} s, but its controller samples every "
                          f"{designed['timestep']:g} s; design the controller again, or leave c out of the formats")
     observer, actuator = build(stated, model), _actuator(designed)
     name = identifier(card["name"])
@@ -55,7 +55,7 @@ def _actuator(designed: dict) -> Actuator:
 
 
 def _named(text: str, name: str) -> str:
-    """`NAME_` becomes the model's prefix, in capitals before capitals."""
+    """Replace `NAME_` by the model's prefix, in capitals where capitals follow."""
     text = re.sub(r"\bNAME_(?=[A-Z])", f"{name.upper()}_", text)
     return text.replace("NAME_", f"{name}_").replace("NAME.h", f"{name}.h")
 

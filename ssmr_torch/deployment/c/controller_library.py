@@ -1,4 +1,4 @@
-"""The compiled observer and actuators of a designed controller on NumPy arrays, compared with the package's."""
+"""Runs the compiled observer and actuators of a designed controller, and compares them with the Python ones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ssmr_torch.deployment.c.controller import CController
 
 
 class CompiledController:
-    """The compiled functions as objects: `observe` and `apply` as of the package's own.
+    """The compiled functions as an object with the methods `observe` and `apply`, like the Python ones.
 
     library: with NAME.c and NAME_controller.c in it.
     """
@@ -33,24 +33,24 @@ class CompiledController:
         self._call("observe_reset")(ctypes.byref(self.observer))
 
     def observe(self, y: np.ndarray, acting: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-        """z (n,), d (p,), and what the function returned."""
+        """State z (n,), disturbance d (p,), and the return code."""
         said = self._call("observe")(ctypes.byref(self.observer), *map(_pointer, (y, acting)))
         return np.array(self.observer.z), np.array(self.observer.d), said
 
     def forget(self) -> None:
-        """There was a gap in time."""
+        """Tell the observer that there was a gap in time."""
         self._call("observe_forget")(ctypes.byref(self.observer))
 
     def restart(self, z: np.ndarray) -> None:
-        """The state (n,) from a chart."""
+        """Set the state (n,), which comes from a chart."""
         self._call("observe_restart")(ctypes.byref(self.observer), _pointer(z))
 
     def rest_at(self, command: np.ndarray) -> None:
-        """As after this command (m,) for ever."""
+        """Set the actuators to the state that they reach under a constant command (m,)."""
         self._call("actuator_rest")(ctypes.byref(self.actuators), _pointer(command), _pointer(self.acting))
 
     def apply(self, command: np.ndarray) -> None:
-        """The command (m,) of this sample: `acting` is what acts until the next."""
+        """Give the command (m,) of this sample. `acting` is then the input that acts until the next sample."""
         self._call("actuator")(ctypes.byref(self.actuators), _pointer(command), _pointer(self.acting))
 
 
@@ -59,8 +59,8 @@ def _pointer(array: np.ndarray):
 
 
 def differences(compiled: CompiledController, written: CController, steps: int = 200) -> tuple[float, float]:
-    """The largest difference from the package's observer and actuators, relative to the largest entry, over seeded
-    commands and measurements of the model with noise, a missing sample, and an outlier.
+    """The largest differences from the Python observer and actuators, relative to the largest entry. Both get the same
+    seeded commands, and measurements of the model with noise, a missing sample and an outlier.
     """
     rng, model, own = np.random.default_rng(0), written.observer.model, ActuatorState(written.actuator)
     span, noise = np.array(written.actuator.input_range), np.sqrt(np.diag(np.linalg.inv(written.observer._precision)))

@@ -1,17 +1,17 @@
-"""C text of the observer and the actuators of a designed controller; NAME_ stands for the model's prefix."""
+"""C text of the observer and the actuators of a designed controller. NAME_ is later replaced by the model's prefix."""
 
 HEADER = """\
 /* {title}
 
-   At every sample, with the newest outputs y, m from rest, and what acted since the sample before:
+   Call at every sample, with the newest outputs y (m from rest) and the input that acted since the sample before:
 
        NAME_observe(&observer, y, acting);          state observer.z, disturbance observer.d of the outputs, m
-       ...where it returns NAME_LOST, NAME_observe_restart with what NAME_encode makes of your window of y - d...
-       ...the plan of a program of your own, from NAME_horizon, gives the command...
-       NAME_actuator(&actuators, command, acting);  what acts until the next sample
+       ...if it returns NAME_LOST: NAME_observe_restart with the result of NAME_encode on your window of y - d...
+       ...your own program plans with NAME_horizon and gives the command...
+       NAME_actuator(&actuators, command, acting);  acting: the input that acts until the next sample
 
-   Everything is re-entrant, allocates nothing, and equals the package's controller to rounding. The quadratic program
-   is not in this file. Sampling time: {timestep} s. Controller: {facts}.
+   All functions are re-entrant, allocate nothing, and agree with the Python controller to rounding.
+   The quadratic program is not in this file. Sampling time: {timestep} s. Controller: {facts}.
 */
 #ifndef NAME_CONTROLLER_H
 #define NAME_CONTROLLER_H
@@ -22,39 +22,39 @@ HEADER = """\
 extern "C" {{
 #endif
 
-/* z (n), d (p); the rest is the observer's own. */
+/* z (n): state, d (p): disturbance; the other fields are internal. */
 typedef struct {{
     double z[{n}], d[{p}], scale;
     int shut, strange, begun, unloaded, gap;
 }} NAME_observer;
 
-/* What the last command transmits, of each input, and what is under way. */
+/* For each input: what the last command transmits, and the values that are still delayed. */
 typedef struct {{
     double transmitted[{m}], limited[{m}], lagged[{m}], queue[{room}];
     int oldest;
 }} NAME_actuators;
 
-/* What NAME_observe returns. */
+/* Return codes of NAME_observe. */
 enum {{ NAME_UPDATED = 0, NAME_MISSING = 1, NAME_GATED = 2, NAME_LOST = 3 }};
 
-/* Before the first sample, and to begin anew. */
+/* Call before the first sample, and to start again. */
 void NAME_observe_reset(NAME_observer *observer);
 
-/* After a gap in time: the disturbance stays, the state comes from the next window. */
+/* Call after a gap in time: the disturbance is kept, the state comes from the next window. */
 void NAME_observe_forget(NAME_observer *observer);
 
-/* One sample: y (p), not finite where it is missing; acting (m), what acted since the last one. NAME_LOST: the state is
-   outside what was recorded and mispredicts, or there was a gap in time; give NAME_observe_restart what NAME_encode
-   makes of your newest window, whose outputs are y - d with the d after each sample. */
+/* One sample: y (p), not finite where it is missing; acting (m), the input that acted since the last sample. NAME_LOST:
+   the state is outside the recorded range and mispredicts, or there was a gap in time. Then call NAME_observe_restart
+   with the result of NAME_encode on your newest window, whose outputs are y - d with the d after each sample. */
 int NAME_observe(NAME_observer *observer, const double *y, const double *acting);
 
-/* The state from a chart, z (n), held within the recorded range; d stays. One that is not finite changes nothing. */
+/* Set the state to z (n) from a chart, clipped to the recorded range; d is kept. A z that is not finite is ignored. */
 void NAME_observe_restart(NAME_observer *observer, const double *z);
 
-/* As after this command (m) for ever; acting (m) is what then acts. */
+/* Set the actuators to their state under a constant command (m); acting (m) is the input that then acts. */
 void NAME_actuator_rest(NAME_actuators *actuators, const double *command, double *acting);
 
-/* The command (m) of this sample is given: acting (m) is what acts until the next. */
+/* Give the command (m) of this sample; acting (m) is the input that acts until the next one. */
 void NAME_actuator(NAME_actuators *actuators, const double *command, double *acting);
 
 #ifdef __cplusplus
@@ -79,7 +79,7 @@ static int inside(const double *z, const double *most)
     return 1;
 }
 
-/* Whether an innovation of this distance passes the gate. */
+/* Whether an innovation with this squared distance passes the outlier gate. */
 static int passes(NAME_observer *observer, double distance)
 {
     const double widest = SIGMAS_SQUARED * observer->scale;
@@ -129,7 +129,7 @@ void NAME_observe_restart(NAME_observer *observer, const double *z)
     observer->strange = -PATIENCE;
 }
 
-/* Where the model comes to rest under what acts. */
+/* Set z to the model's rest under the acting input. */
 static void begin(NAME_observer *observer, const double *acting)
 {
     double window[(D + 1) * P], inputs[(D + 1) * M], start[N];
@@ -150,7 +150,7 @@ static void begin(NAME_observer *observer, const double *acting)
     observer->begun = 1;
 }
 
-/* z and d after the innovation e. */
+/* Correct z and d by the innovation e. */
 static void correct(NAME_observer *observer, const double *e)
 {
     int i, j, mispredicts = 0;
@@ -168,7 +168,7 @@ static void correct(NAME_observer *observer, const double *e)
     observer->strange = mispredicts && !inside(observer->z, beyond) ? observer->strange + 1 : 0;
 }
 
-/* z and d after the outputs were `output` and not y; what NAME_observe returns of it. */
+/* Correct z and d when y was measured and `output` predicted; returns what NAME_observe returns. */
 static int update(NAME_observer *observer, const double *y, const double *output)
 {
     double e[P], distance = 0.0;

@@ -1,4 +1,4 @@
-"""C text: tables with literals that read back to the same double, products with them, comments."""
+"""Building blocks of C text: tables whose literals read back to the same double, products with them, comments."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 
 
 class Family(NamedTuple):
-    """What a model family adds to the C file.
+    """The part of the C file that depends on the model family.
 
-    sizes: its enumerators.   code: tables and functions, with `encode_window`, `decode_state`, and what its kind of
-    step needs.   scratch: doubles on the stack in its deepest call.   mathematics: whether <math.h> is needed.
+    sizes: its enumerators.   code: tables and functions, among them `encode_window`, `decode_state`, and what its kind
+    of step needs.   scratch: doubles on the stack in its deepest call.   mathematics: whether <math.h> is needed.
     """
 
     sizes: dict[str, int]
@@ -22,9 +22,9 @@ class Family(NamedTuple):
 
 
 def table(name: str, array: np.ndarray, note: str) -> str:
-    """A constant array, row by row, of int for integers and double for the rest; one zero where it is empty.
+    """A constant array, row by row: int for integers, double for the rest; a single zero where it is empty.
 
-    repr gives the shortest decimal that reads back to the same double.
+    repr gives the shortest decimal number that reads back to the same double.
     """
     array = np.asarray(array)
     integers = np.issubdtype(array.dtype, np.integer)
@@ -38,12 +38,13 @@ def table(name: str, array: np.ndarray, note: str) -> str:
 
 def product(function: str, rows: int, columns: int | None, stored: str | None = None, accumulate: bool = False,
             most: int = 4) -> str:
-    """A function out = table · x (or out += …), the table stored column by column.
+    """A function out = table · x (or out += …), with the table stored column by column.
 
-    Rows are the inner loop, so that a compiler that may not reorder sums can still use vector instructions; four
-    columns at a time, so that it need not wait for each sum. stored: the table's name; None: the function takes it as
-    its first argument. columns: None: the function takes how many, before x; most: that is never more, and compilers
-    complain of four columns at a time that a table cannot have.
+    The inner loop runs over rows, so that a compiler that may not reorder sums can still use vector instructions. It
+    takes four columns at a time, so that it need not wait for each sum.
+    stored: the table's name; None: the table is the function's first argument.   columns: None: their number is an
+    argument before x.   most: the largest number of columns; for fewer than four no loop over four is written, because
+    compilers warn of it.
     """
     fours = columns is not None or most >= 4
     given = "" if stored else "const double *restrict table, "
@@ -71,12 +72,12 @@ def times(name: str, matrix: np.ndarray, note: str, accumulate: bool = False) ->
 
 
 def comment(text: object) -> str:
-    """A text that cannot end a comment, nor start anything else, in one line of ASCII."""
+    """The text as one line of ASCII that cannot end a C comment or begin another one."""
     plain = " ".join(str(text).encode("ascii", "replace").decode().split())
     return plain.replace("\\", "/").replace("??", "?").replace("*/", "* /").replace("/*", "/ *")
 
 
 def identifier(name: str) -> str:
-    """A model's name as the prefix of C names and as a file name: "SSMR (published)" → ssmr_published."""
+    """A model's name as prefix of C names and as file name: "SSMR (published)" → ssmr_published."""
     plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
     return plain if plain and not plain[0].isdigit() else f"model_{plain}".rstrip("_")

@@ -1,4 +1,4 @@
-"""A model as one C99 file and its header, of its NumPy arrays alone."""
+"""Writes a model as one C99 file and its header, from its NumPy arrays alone."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ HEADER = """\
 
    {lines}
 
-   Matrices are row by row. Every function is re-entrant: it keeps nothing, allocates nothing, and has its scratch on
-   the stack, about {stack}. Outputs may not overlap inputs, but next may be z. Nothing is checked: a state that is
-   not finite, or an input outside what the model was trained with, gives what the equations give.
+   Matrices are stored row by row. Every function is re-entrant: it keeps and allocates nothing; its scratch memory is
+   on the stack, about {stack}. Outputs may not overlap inputs, but next may be z. Nothing is checked: for a state that
+   is not finite, or an input outside the training range, the functions return what the equations give.
 */
 #ifndef MODEL_H
 #define MODEL_H
@@ -100,7 +100,7 @@ class CSource(NamedTuple):
 
 
 def write_c(model: Model, card: dict) -> CSource:
-    """The C file of a model, and what its artifact's card says of it in the header's comment.
+    """The C file of a model. The header's comment repeats what the artifact's card says.
 
     Functions NAME_encode, _decode, _decode_jacobian, _step, _step_jacobians, _horizon; see the header. Raises
     ValueError for a kind of model that has no C form.
@@ -116,10 +116,10 @@ def write_c(model: Model, card: dict) -> CSource:
 
 
 def _family(model: Model) -> Family:
-    """What the writer that the model names, "module:function", makes of it."""
+    """The model's part of the file, by the writer that its class names as "module:function"."""
     if model.c_source is None:
-        raise ValueError(f"a {type(model).__name__} has no C form: its class names no writer of one; leave c out of "
-                         "the formats, or set its c_source to \"module:function\", where the function makes a "
+        raise ValueError(f"a {type(model).__name__} cannot be written in C, because its class names no writer. Leave c "
+                         "out of the formats, or set its c_source to \"module:function\", where the function makes a "
                          "ssmr_torch.deployment.c.literals.Family of the model")
     return found(model.c_source)(model)
 
@@ -138,6 +138,6 @@ def _header(model: Model, card: dict, scratch: int) -> str:
 
 
 def _named(text: str, name: str) -> str:
-    """`model_` and `MODEL_` at the beginning of a word become the model's own prefix."""
+    """Replace `model_` and `MODEL_` at the beginning of words by the model's own prefix."""
     text = re.sub(r"\bmodel_(?=encode|decode|step|horizon)", f"{name}_", text)
     return re.sub(r"\bMODEL_", f"{name.upper()}_", text)

@@ -1,4 +1,4 @@
-"""A neural ordinary differential equation in C."""
+"""C text of a neural ordinary differential equation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ssmr_torch.deployment.c.steps import FLOW, flow_scratch
 from ssmr_torch.models.neural import NeuralModel
 
 CODE = """\
-/* table (QF, N) = the columns of the rate that the input changes, with u held */
+/* table (QF, N): the columns of the rate that depend on the input, with u held */
 static void hold_table(const double *restrict rate_table, const double *restrict field_table, int columns, int rows,
                        const double *restrict u, double *restrict held)
 {
@@ -32,7 +32,7 @@ static void hold(const double *u, int slopes, Held *held)
     hold_table(drift, field, QF, N, u, held->rate);
 }
 
-/* One layer: out = tanh(out + bias); where J is not NULL, its rows times the slope of tanh. */
+/* One layer: out = tanh(out + bias). Where J is not NULL, its rows are multiplied by the slope of tanh. */
 static void activate(const double *restrict bias, double *restrict out, double *restrict J)
 {
     int i, j;

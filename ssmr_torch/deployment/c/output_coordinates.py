@@ -1,4 +1,4 @@
-"""Output coordinates in C: a window in the model's coordinates, and outputs with their slopes from them."""
+"""C text of output coordinates: from outputs to the model's coordinates, and back with their derivatives."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ssmr_torch.models.polynomial import PolynomialModel
 
 
 class Coordinates(NamedTuple):
-    """What they add to the file: enumerators, code, and doubles on the stack while encoding and while decoding."""
+    """The coordinates' part of the file: enumerators, code, and doubles on the stack for encoding and for decoding."""
 
     sizes: dict[str, int]
     code: str
@@ -21,14 +21,14 @@ class Coordinates(NamedTuple):
 
 
 def coordinates(model: PolynomialModel) -> Coordinates:
-    """Of a model's output coordinates; nothing where it has none. Raises ValueError where they have no C form."""
+    """The C text of a model's output coordinates; empty where it has none. Raises ValueError without a C form."""
     if model.coordinates is None:
         return Coordinates({}, "", 0, 0)
     markers, latent = model.coordinates.markers(), model.latent_dim
     if markers is None:
-        raise ValueError(f"the output coordinates {model.coordinates.words} have no C form: C knows constant-curvature "
-                         "arcs, plain outputs and mixtures of these; leave c out of the formats (torch, onnx and "
-                         "casadi serve them), or fit with coordinates of this package")
+        raise ValueError(f"the output coordinates {model.coordinates.words} have no C form; C has constant-curvature "
+                         "arcs, plain outputs and mixtures of these. Leave c out of the formats (torch, onnx and "
+                         "casadi have them), or fit with coordinates of this package")
     code = (table("marker", markers[:, :3].astype(np.int64), "first coordinate, first output, how many")
             + table("arc", markers[:, 3:], "weight, length at rest or 0 for plain outputs, axis")
             + table("arctangent", np.array(ARCTANGENT), f"atan(x)/x by x^2 / {SPREAD:g}")

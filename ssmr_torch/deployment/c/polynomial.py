@@ -1,4 +1,4 @@
-"""A polynomial model in C, of any structure: its forms as tables over products, and how they follow each other."""
+"""C text of a polynomial model of any structure: the tables of its forms, and the functions that evaluate them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ssmr_torch.models.split import derivative_table, output_table, products, re
 
 
 class Piece(NamedTuple):
-    """A part of the file: its enumerators, its code, the doubles that it has on the stack."""
+    """A part of the file: its enumerators, its code, and the number of doubles that it has on the stack."""
 
     sizes: dict[str, int]
     code: str
@@ -25,7 +25,7 @@ class Piece(NamedTuple):
 
 
 def polynomial(model: PolynomialModel) -> Family:
-    """Chart, dynamics, the step that their scheme asks for, parametrization; each by its own tables.
+    """The C text of chart, dynamics, step (by the dynamics' scheme) and parametrization, each with its own tables.
 
     Raises ValueError for output coordinates that have no C form.
     """
@@ -40,7 +40,7 @@ def polynomial(model: PolynomialModel) -> Family:
 
 
 def _as_one_map(model: PolynomialModel) -> PolynomialModel:
-    """A map that is affine in state and input, of all its repeats at once; any other model as it is."""
+    """A map that is affine in state and input, taken over all its repeats at once; any other model unchanged."""
     structure, n, m = model.structure, model.state_dim, model.input_dim
     if model.repeats == 1 or structure.relift or structure.dynamics.highest > 1:
         return model
@@ -51,7 +51,7 @@ def _as_one_map(model: PolynomialModel) -> PolynomialModel:
 
 
 def _dynamics(model: PolynomialModel) -> Piece:
-    """`Held`, `hold` and `rate`."""
+    """C text of `Held`, `hold` and `rate`."""
     n, rows, saturates = model.state_dim, len(model.dynamics), model.structure.saturated
     parts = split(model.dynamics_form, n)
     linear, qf, qs = parts.states.highest <= 1, parts.columns_u, reach(parts.runs_z)
@@ -90,12 +90,12 @@ def _dynamics(model: PolynomialModel) -> Piece:
 
 
 def _rest(function: str, rows: int, columns: int) -> str:
-    """The product with the columns that no input changes, where there are any."""
+    """The product with the columns that no input changes; empty where there are none."""
     return product(function, rows, columns, accumulate=True) if columns > 0 else ""
 
 
 def _add_runs(function: str, rows: int) -> str:
-    """A function held += the sum of u^q · the columns of its runs, tables column by column."""
+    """A C function: held += the sum of u^q · the columns of its runs. Tables are stored column by column."""
     return (f"static void {function}(const int *restrict runs, int count, const double *restrict columns,\n"
             "                          const double *restrict inputs, double *restrict held)\n{\n    int c, i, r;\n"
             "    for (r = 0; r < count; r++) {\n        const int *run = runs + 4 * r;\n"
@@ -106,7 +106,7 @@ def _add_runs(function: str, rows: int) -> str:
 
 
 def _step(model: PolynomialModel) -> Piece:
-    """`model_step` and `model_step_jacobians`."""
+    """C text of `model_step` and `model_step_jacobians`."""
     structure, n, m, repeats = model.structure, model.state_dim, model.input_dim, model.repeats
     if model.flow:
         return Piece({"SUBSTEPS": model.substeps}, FLOW, flow_scratch(n, m))
@@ -124,7 +124,7 @@ def _step(model: PolynomialModel) -> Piece:
 
 
 def _chart(model: PolynomialModel) -> Piece:
-    """`encode_window`, and the chart's monomials, which a model that lifts anew uses again."""
+    """C text of `encode_window` and of the chart's monomials; a model with re-lifting uses the monomials again."""
     structure, window = model.structure, model.latent_window
     bends = model.coordinates is not None
     order, monomials = np.array(structure.window_order), structure.chart
@@ -156,14 +156,14 @@ def _output(model: PolynomialModel) -> Piece:
 
 
 def _declare(name: str, monomials: Monomials) -> str:
-    """The index tables NAME_parent and NAME_factor of the closure, see `MULTIPLY_OUT`."""
+    """The index tables NAME_parent and NAME_factor of the monomials, see `MULTIPLY_OUT`."""
     parent, factor = products(monomials)
     return (table(f"{name}_parent", parent, "position of what each product multiplies")
             + table(f"{name}_factor", factor, "variable it is multiplied by"))
 
 
 def _slopes(monomials: Monomials) -> list[np.ndarray]:
-    """Of each nonzero derivative of a monomial: the monomial, the variable, the rest in the closure, the exponent."""
+    """For each nonzero derivative of a monomial: monomial, variable, the remaining monomial, and the exponent."""
     found = []
     for row, factors in enumerate(monomials.factors):
         for variable in sorted(set(factors)):
@@ -172,7 +172,7 @@ def _slopes(monomials: Monomials) -> list[np.ndarray]:
 
 
 def _at_least(array: np.ndarray, columns: int) -> np.ndarray:
-    """A table with columns of zeros added until it has as many."""
+    """The table, with columns of zeros added until it has this many."""
     return np.pad(array, ((0, 0), (0, max(0, columns - array.shape[1]))))
 
 

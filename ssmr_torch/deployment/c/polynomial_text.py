@@ -1,4 +1,4 @@
-"""The C text of a polynomial model around its tables; @NAME@ stands for what depends on its structure."""
+"""The fixed C text of a polynomial model. @NAME@ stands for parts that depend on the model's structure."""
 
 MULTIPLY_OUT = """\
 /* powers = [1, x, products of x], product i being that at parent[i] times x[factor[i]]. */
@@ -16,7 +16,7 @@ static void multiply_out(const double *x, int variables, const int *parent, cons
 """
 
 SATURATED = """\
-/* z within its edge; beyond, 1 to 1.5 times the edge, with the slope 1 - bend^2. */
+/* z inside its edge. Outside: between 1 and 1.5 times the edge, with the slope 1 - bend^2. */
 static double saturated(double z, double within, double *bend)
 {
     double over = fabs(z) / within - 1.0;
@@ -29,14 +29,14 @@ static double saturated(double z, double within, double *bend)
 
 """
 
-# The rate f(z, u) = (free + sum of u^q field_q) . powers of z, each field some runs of neighbouring columns, see
+# The rate f(z, u) = (free + sum of u^q field_q) . powers of z. Each field consists of runs of neighbouring columns, see
 # `ssmr_torch.models.split`. Its first QF columns, and the first QS of its Jacobian, are held over a step.
 HELD = """\
 typedef struct {
     double inputs[QU], rate[QF * R];
 @SLOPE@} Held;
 
-/* What the input u changes; of the Jacobian only with slopes. */
+/* The columns that the input u changes; those of the Jacobian only if slopes is set. */
 static void hold(const double *u, int slopes, Held *held)
 {
     int i;

@@ -1,4 +1,4 @@
-"""One step in C, of a flow by Runge-Kutta or of a repeated map, with its exact sensitivities."""
+"""C text of one step with its exact sensitivities: of a flow by Runge-Kutta, and of a repeated map."""
 
 # A family of flows defines Held, hold(u, slopes, held), and rate(held, z, k, F, G): k = dz/dt, and where F is not NULL
 # F = dk/dz and G = dk/du. S = [dz/dz_0, dz/du] is carried through the stages, as in `control.horizon_kernel`.
@@ -18,7 +18,7 @@ static void carry(const double *restrict F, const double *restrict G, const doub
     }
 }
 
-/* Stage 0 to 3 of the classical Runge-Kutta step of length h: x from where it started and its slopes so far, summed. */
+/* Stage 0 to 3 of the classical Runge-Kutta step of length h: x from the start and the sum of the slopes so far. */
 static void advance_stage(int stage, double h, int size, const double *restrict start, const double *restrict k,
                           double *restrict total, double *restrict x)
 {
@@ -91,8 +91,8 @@ void model_step_jacobians(const double *z, const double *u, double *next, double
 
 """
 
-# A family of maps defines advance(INPUT, z, next, F, G) over one base timestep, F and G NULL where they are not wanted;
-# INPUT is u, or what `hold` makes of it.
+# A family of maps defines advance(INPUT, z, next, F, G) over one base timestep; F and G are NULL where they are not
+# wanted. INPUT is u, or what `hold` makes of it.
 MAP_STEP = """\
 void model_step(const double *z, const double *u, double *next)
 {
@@ -162,9 +162,9 @@ void model_step_jacobians(const double *z, const double *u, double *next, double
 
 
 def map_steps(repeats: int, held: bool = False) -> str:
-    """The steps of a map that is repeated so often; a single one needs no room for products of Jacobians.
+    """The steps of a map with this number of repeats. A single one needs no room for products of Jacobians.
 
-    held: whether the family has `Held` and `hold` for what the input changes.
+    held: whether the family defines `Held` and `hold` for the columns that the input changes.
     """
     step, jacobians = MAP_STEP, SINGLE_MAP_JACOBIANS if repeats == 1 else REPEATED_MAP_JACOBIANS
     declared = "    Held held;\n" if held else ""
@@ -174,10 +174,10 @@ def map_steps(repeats: int, held: bool = False) -> str:
 
 
 def map_scratch(state_dim: int, input_dim: int, repeats: int) -> int:
-    """Doubles on the stack of `map_steps`."""
+    """Number of doubles that `map_steps` has on the stack."""
     return state_dim * (2 if repeats == 1 else 3 + state_dim + input_dim)
 
 
 def flow_scratch(state_dim: int, input_dim: int) -> int:
-    """Doubles on the stack of `FLOW`, beside what is held and the rate's own."""
+    """Number of doubles that `FLOW` has on the stack, without those of `Held` and of the rate."""
     return 4 * state_dim + 5 * state_dim * (state_dim + input_dim)

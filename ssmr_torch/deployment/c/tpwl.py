@@ -1,4 +1,4 @@
-"""A trajectory piecewise linear model in C; its chart is a Kalman filter that runs through the window."""
+"""C text of a trajectory piecewise linear model. Its chart is a Kalman filter that runs through the window."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from ssmr_torch.deployment.c.steps import map_scratch, map_steps
 from ssmr_torch.models.piecewise_linear import PiecewiseLinearModel
 
 DISTANCES = """\
-/* Squared distance of the positions in z to point i, less what is the same for all points. */
+/* Squared distance of the positions in z to point i, without the term that is the same for all points. */
 static double distance(const double *z, int i)
 {
     double both = 0.0, own = 0.0;
@@ -249,7 +249,7 @@ static void decode_state(const double *z, double *y, double *C)
 
 
 def tpwl(model: PiecewiseLinearModel) -> Family:
-    """The local maps side by side; of the nearest point, or blended where the model has a width."""
+    """The C text of the local maps: the nearest point's map, or a blend where the model has a width."""
     n, m, count = model.state_dim, model.input_dim, len(model.points)
     repeats = model.repeats
     code = (table("points", model.points, "positions of the points")

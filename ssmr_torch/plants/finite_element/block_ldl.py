@@ -1,4 +1,4 @@
-"""Sparse L D Lᵀ of a symmetric matrix of 3 x 3 blocks, its pattern analysed once."""
+"""Sparse L D Lᵀ factorization of a symmetric matrix of 3 x 3 blocks. Its pattern is analysed once."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from ssmr_torch.plants.finite_element.sparsity import Sparsity
 class BlockLDL:
     """Solves A x = b with A = L D Lᵀ, D of 3 x 3 blocks, without pivoting.
 
-    Stable for positive definite A (one step of the reference scheme); for an indefinite one as long as no pivot block
-    comes near singularity. Only the lower triangle of A is read. The analysis finds the fill and, for each update, the
-    block that it changes; what is left at each step are products of 3 x 3 blocks.
+    It is stable for positive definite A (one step of the reference scheme), and for an indefinite A as long as no pivot
+    block comes near singularity. Only the lower triangle of A is read. The analysis finds the fill and, for each
+    update, the block that it changes. At each step only products of 3 x 3 blocks remain to be computed.
     """
 
     def __init__(self, sparsity: Sparsity):
@@ -43,7 +43,7 @@ class BlockLDL:
 
 
 def _fill(graph) -> list[np.ndarray]:
-    """Rows below the diagonal of each column of L: those of A and those of the columns whose parent it is."""
+    """Rows below the diagonal of each column of L: those of A, and those of the columns whose parent it is."""
     columns: list[np.ndarray] = []
     children: list[list[int]] = [[] for _ in range(graph.shape[0])]
     for j in range(graph.shape[0]):
@@ -58,7 +58,7 @@ def _fill(graph) -> list[np.ndarray]:
 
 @kernel
 def _targets(pointers, rows):
-    """Per column, per pair a < b of its blocks: the place of block (row b, row a) among all blocks."""
+    """For each column and each pair a < b of its blocks: the place of block (row b, row a) among all blocks."""
     count = 0
     for j in range(len(pointers) - 1):
         c = pointers[j + 1] - pointers[j]

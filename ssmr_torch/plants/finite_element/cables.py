@@ -1,4 +1,4 @@
-"""Frictionless cables through waypoints: tension to nodal forces, and their geometric stiffness."""
+"""Frictionless cables through waypoints: the nodal forces of their tensions, and their geometric stiffness."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from ssmr_torch.plants.finite_element.mesh import TetrahedralMesh
 
 
 class Cables:
-    """m cables, each pulled at its anchor, a point fixed in space.
+    """m cables. Each is pulled at its anchor, a point fixed in space.
 
-    anchors: (m, 3) m.   waypoints: m arrays (K_i, 3) m of points in the undeformed body, from the anchor on; the last
-    is where the cable ends. A point outside the mesh moves with the tetrahedron of nearest centre.
+    anchors: (m, 3) m.   waypoints: m arrays (K_i, 3) m of points in the undeformed body, starting at the anchor; the
+    last one is the end of the cable. A point outside the mesh moves with the tetrahedron of nearest centre.
 
-    A tension T acts on waypoint k with T (d_{k+1} − d_k), d_k the unit vector from waypoint k − 1 (0: the anchor) to
-    waypoint k, and on the last with −T d_K; barycentric weights spread it over the nodes.
+    A tension T acts on waypoint k with T (d_{k+1} − d_k), where d_k is the unit vector from waypoint k − 1 (0: the
+    anchor) to waypoint k, and on the last waypoint with −T d_K. Barycentric weights distribute it over the nodes.
     Raises ValueError for wrong shapes and for waypoints that coincide.
     """
 
@@ -32,7 +32,7 @@ class Cables:
         for number, (anchor, path) in enumerate(zip(self.anchors, paths)):
             if (np.linalg.norm(np.diff(path, axis=0, prepend=anchor[None]), axis=1) < 1e-9).any():
                 raise ValueError(f"cable {number} has waypoints that coincide: {path.tolist()} from {anchor.tolist()}; "
-                                 "expected different points, as they give the cable its direction")
+                                 "expected different points, because they give the direction of the cable")
         self.starts = np.concatenate([[0], np.cumsum([len(path) for path in paths])])
         self.nodes, self.weights = mesh.embed(np.concatenate(paths))
 
@@ -41,7 +41,7 @@ class Cables:
         return len(self.anchors)
 
     def points(self, positions: np.ndarray) -> np.ndarray:
-        """(Σ K_i, 3) m, where the waypoints are now."""
+        """(Σ K_i, 3) m, the present positions of the waypoints."""
         return np.einsum("ka,kai->ki", self.weights, positions[self.nodes])
 
     def lengths(self, positions: np.ndarray) -> np.ndarray:
@@ -51,7 +51,7 @@ class Cables:
                          for anchor, start, stop in zip(self.anchors, self.starts, self.starts[1:])])
 
     def add_force(self, positions: np.ndarray, tensions: np.ndarray, force: np.ndarray) -> None:
-        """Add the nodal forces of the tensions (m,), N, to force (N, 3)."""
+        """Add the nodal forces of tensions (m,), N, to force (N, 3)."""
         _add_force(positions, tensions, self.anchors, self.starts, self.nodes, self.weights, force)
 
     def input_matrix(self, positions: np.ndarray) -> np.ndarray:
@@ -63,7 +63,7 @@ class Cables:
 
     def add_stiffness(self, positions: np.ndarray, tensions: np.ndarray, places: np.ndarray, strides: np.ndarray,
                       data: np.ndarray) -> None:
-        """Add −∂(H u)/∂x, symmetric: per stretch T/ℓ (I − d ⊗ d) between its ends.
+        """Add −∂(H u)/∂x, which is symmetric: T/ℓ (I − d ⊗ d) between the ends of each stretch.
 
         places, strides: of the groups `stretches` in `data`, see `Sparsity.places`.
         """
@@ -71,7 +71,7 @@ class Cables:
 
     @property
     def stretches(self) -> np.ndarray:
-        """(Σ K_i, 8) nodes of the two ends of each stretch; those of its far end twice where it starts at an anchor."""
+        """(Σ K_i, 8) nodes of the two ends of each stretch. A stretch from an anchor has its far end's nodes twice."""
         previous = np.where(np.isin(np.arange(len(self.nodes)), self.starts[:-1])[:, None],
                             self.nodes, np.roll(self.nodes, 1, axis=0))
         return np.concatenate([previous, self.nodes], axis=1)

@@ -1,8 +1,8 @@
-"""How the element, cable and solver kernels are compiled."""
+"""How numba compiles the kernels of elements, cables and solvers."""
 
 from __future__ import annotations
 
 from numba import njit
 
-# Fused multiply-adds; a division by zero gives infinity, which a step that diverges reports, not an exception.
+# Fused multiply-adds are allowed. A division by zero gives infinity and no exception; the step then reports divergence.
 kernel = njit(cache=True, error_model="numpy", fastmath={"contract"})

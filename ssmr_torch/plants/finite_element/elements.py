@@ -28,7 +28,7 @@ def lame_parameters(young: float, poisson: float) -> tuple[float, float]:
 
 @kernel
 def edge_frame(positions, nodes, frame):
-    """Columns: unit vector of the edge 0 → 1, in-plane normal to it, normal of the face 0, 1, 2."""
+    """Three columns: unit vector of edge 0 → 1, its normal in the face 0, 1, 2, and the normal of this face."""
     for i in range(3):
         frame[i, 0] = positions[nodes[1], i] - positions[nodes[0], i]
         frame[i, 1] = positions[nodes[2], i] - positions[nodes[0], i]
@@ -65,7 +65,7 @@ def _gradient(positions, nodes, gradients, deformation):
 
 @kernel
 def _corotational(deformation, rotation, lame, shear, stress):
-    """P = R σ, σ = λ tr(ε) I + 2 μ ε, ε = sym(Rᵀ F) − I: linear elasticity in the turned frame."""
+    """P = R σ, σ = λ tr(ε) I + 2 μ ε, ε = sym(Rᵀ F) − I: linear elasticity in the rotated frame."""
     strain = np.empty((3, 3))
     for i in range(3):
         for j in range(i, 3):
@@ -85,7 +85,7 @@ def _corotational(deformation, rotation, lame, shear, stress):
 
 @kernel
 def _inverse_transpose(matrix, result):
-    """matrix⁻ᵀ; returns the determinant."""
+    """result = matrix⁻ᵀ; returns the determinant."""
     for i in range(3):
         for j in range(3):
             a, b, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
@@ -103,8 +103,8 @@ def _inverse_transpose(matrix, result):
 def assemble(law, positions, tetrahedra, gradients, volumes, rest_frames, lame, shear, force, places, strides, data):
     """Add internal forces to `force` (N, 3) and stiffness to `data`; returns the number of inverted elements.
 
-    places: (E, 4, 4) where in `data` the block of nodes a, b starts, −1 for clamped nodes; strides: (E, 4) from
-    one column of the blocks of node b to the next; an empty `data` leaves the stiffness out.
+    places: (E, 4, 4), where the block of nodes a, b starts in `data`, −1 for clamped nodes. strides: (E, 4), from one
+    column of the blocks of node b to the next. With an empty `data` no stiffness is computed.
     law COROTATIONAL: rotation R from the edge frames now and at rest; tangent with R fixed, R K_e Rᵀ.
     law NEO_HOOKEAN: Ψ = μ/2 (tr FᵀF − 3) − μ ln J + λ/2 (ln J)²; exact tangent; ln J of an inverted element is NaN.
     """
@@ -143,7 +143,7 @@ def assemble(law, positions, tetrahedra, gradients, volumes, rest_frames, lame, 
 
 @kernel
 def _add_stiffness(gradient, moved, diagonal, crossed, direct, places, strides, data):
-    """The blocks a ≥ b, and a > b once more transposed."""
+    """Add the blocks a ≥ b, and the blocks a > b once more, transposed."""
     for b in range(4):
         for a in range(b, 4):
             place, mirrored = places[a, b], places[b, a]
@@ -165,7 +165,7 @@ def _add_stiffness(gradient, moved, diagonal, crossed, direct, places, strides, 
 
 @kernel
 def _frame_spin(positions, nodes, frame, spin):
-    """∂ω/∂x of the nodes 0, 1, 2, (3, 3, 3): the frame turns by ω when the nodes move, and node 3 does not turn it.
+    """∂ω/∂x for the nodes 0, 1, 2, (3, 3, 3): moving these nodes rotates the frame by ω. Node 3 does not rotate it.
 
     With e₁, e₂, e₃ the frame, ℓ the edge 0 → 1 and a = x₂ − x₀: ω = e₁ × δx₀₁ / ℓ + w e₁,
     w = e₃·(δx₀₂ − (a·e₁ / ℓ) δx₀₁) / (a·e₂).
@@ -178,7 +178,7 @@ def _frame_spin(positions, nodes, frame, spin):
     for i in range(3):
         for j in range(3):
             twist = frame[i, 0] * frame[j, 2] / height
-            # e₁ × of unit vector j has only the components that are not j
+            # e₁ × (unit vector j) has only components different from j.
             tilt = 0.0
             if i == (j + 1) % 3:
                 tilt = frame[(j + 2) % 3, 0] / length
@@ -191,7 +191,7 @@ def _frame_spin(positions, nodes, frame, spin):
 
 @kernel
 def add_frame_stiffness(positions, tetrahedra, gradients, volumes, rest_frames, lame, shear, places, strides, data):
-    """What the turning of the edge frames adds to R K_e Rᵀ: with it the corotational tangent is exact, unsymmetric.
+    """Add the effect of the frames' rotation to R K_e Rᵀ. This makes the corotational tangent exact and unsymmetric.
 
     δf_a = V (ω × P g_a − R C:sym(Rᵀ [ω] F) g_a), ω = Σ_b (∂ω/∂x_b) δx_b.
     """
@@ -228,7 +228,7 @@ def _product(left, right, product):
 
 @kernel
 def _turning(deformation, rotation, stress, k, lame, shear, change):
-    """∂P = [e_k] P − R C:sym(Rᵀ [e_k] F), of the frame's turning about axis k."""
+    """∂P = [e_k] P − R C:sym(Rᵀ [e_k] F), for a rotation of the frame about axis k."""
     after, last = (k + 1) % 3, (k + 2) % 3
     strain = np.empty((3, 3))
     for i in range(3):

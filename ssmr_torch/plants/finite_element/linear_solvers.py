@@ -1,4 +1,4 @@
-"""Direct solvers for the matrix of one step."""
+"""Direct solvers for the linear system of one step."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ssmr_torch.plants.finite_element.sparsity import Sparsity
 
 
 class LinearSolver(Protocol):
-    """Made from a `Sparsity`; `solve` may be called with other entries each time."""
+    """A solver that is made from a `Sparsity`; `solve` may be called with other entries each time."""
 
     def solve(self, data: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """x (n,) with A x = right; A is symmetric and has these entries in the sparsity's order."""
+        """x (n,) with A x = right. A is symmetric; its entries are in the order of the sparsity pattern."""
 
 
 class SuperLU:
-    """SciPy's LU without pivoting, on a pattern that is in a fill-reducing order already."""
+    """SciPy's LU without pivoting, on a pattern that already is in a fill-reducing order."""
 
     def __init__(self, sparsity: Sparsity):
         self.sparsity = sparsity
@@ -31,9 +31,9 @@ class SuperLU:
 
 
 def linear_solver(name: str, sparsity: Sparsity) -> LinearSolver:
-    """"block_ldl" (ours, on numba), "superlu" (SciPy's) or "pardiso" (MKL's, the extra `pardiso`).
+    """The solver "block_ldl" (of this package, by numba), "superlu" (SciPy) or "pardiso" (MKL, the extra `pardiso`).
 
-    Raises ValueError for another name or when MKL is not installed.
+    Raises ValueError for another name, and when MKL is not installed.
     """
     if name == "pardiso":
         from ssmr_torch.plants.finite_element.pardiso import Pardiso

@@ -1,4 +1,4 @@
-"""Tetrahedral meshes: nodes, elements, surface, and points embedded in them."""
+"""Tetrahedral meshes: nodes, elements, surface, and points inside the elements."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from scipy.sparse.csgraph import connected_components
 
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])  # seen from outside, counter-clockwise
 
-ON_A_FACE = 1e-9  # of a barycentric coordinate: a point on a face is inside, whatever rounding says
+ON_A_FACE = 1e-9  # of a barycentric coordinate: a point on a face counts as inside in spite of rounding
 
 
 @dataclass(frozen=True, eq=False)
 class TetrahedralMesh:
     """An elastic body in its undeformed shape.
 
-    nodes: (N, 3) m.   tetrahedra: (E, 4) node numbers; the order matters to the edge-frame law.
+    nodes: (N, 3) m.   tetrahedra: (E, 4) node numbers; their order matters for the edge-frame law.
     Raises ValueError for wrong shapes, numbers out of range, non-finite nodes, inverted or flat tetrahedra, nodes
-    that belong to no tetrahedron, and bodies in several pieces.
+    that belong to no tetrahedron, and a body in several pieces.
     """
 
     nodes: np.ndarray
@@ -35,7 +35,7 @@ class TetrahedralMesh:
 
     @property
     def volumes(self) -> np.ndarray:
-        """(E,) m³, signed: positive where node 3 lies on the side of face 0, 1, 2 that its normal points to."""
+        """(E,) m³, signed: positive where node 3 lies on the side to which the normal of face 0, 1, 2 points."""
         return np.linalg.det(_edges(self)) / 6
 
     @property
@@ -51,7 +51,7 @@ class TetrahedralMesh:
 
     @property
     def surface(self) -> np.ndarray:
-        """(F, 3) triangles that belong to one tetrahedron only, counter-clockwise from outside."""
+        """(F, 3) triangles that belong to only one tetrahedron, counter-clockwise from outside."""
         faces = self.tetrahedra[:, FACES].reshape(-1, 3)
         _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
         return faces[np.sort(first[count == 1])]
@@ -76,7 +76,7 @@ class TetrahedralMesh:
     def embed(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Nodes (K, 4) and barycentric weights (K, 4) of points (K, 3) m: x = Σ weight · node, also when deformed.
 
-        A point outside belongs to the tetrahedron with the nearest centre, its weights extrapolated.
+        A point outside the mesh gets the tetrahedron with the nearest centre, with extrapolated weights.
         """
         first, inverse = self.nodes[self.tetrahedra[:, 0]], np.linalg.inv(_edges(self).transpose(0, 2, 1))
         centres = self.nodes[self.tetrahedra].mean(axis=1)
@@ -110,13 +110,13 @@ def _validate(mesh: TetrahedralMesh) -> None:
                          "counted from 0")
     orphans = np.setdiff1d(np.arange(len(nodes)), tetrahedra)
     if len(orphans):
-        raise ValueError(f"{len(orphans)} of {len(nodes)} nodes belong to no tetrahedron, the first is node "
-                         f"{orphans[0]}; remove them from the mesh")
+        raise ValueError(f"{len(orphans)} of {len(nodes)} nodes belong to no tetrahedron; the first is node "
+                         f"{orphans[0]}. Remove them from the mesh")
     flat = np.flatnonzero(mesh.volumes <= 1e-12 * mesh.size ** 3)
     if len(flat):
-        raise ValueError(f"{len(flat)} of {len(tetrahedra)} tetrahedra are inverted or flat, the first is number "
-                         f"{flat[0]} with a volume of {mesh.volumes[flat[0]]:.3g} m³; repair the mesh, or swap two "
-                         "nodes of each where all are inverted")
+        raise ValueError(f"{len(flat)} of {len(tetrahedra)} tetrahedra are inverted or flat; the first is number "
+                         f"{flat[0]}, with a volume of {mesh.volumes[flat[0]]:.3g} m³. Repair the mesh; if all are "
+                         "inverted, swap two nodes of each")
     links = tetrahedra[:, [0, 0, 0]].ravel(), tetrahedra[:, 1:].ravel()
     pieces, _ = connected_components(coo_array((np.ones(len(links[0])), links), (len(nodes),) * 2), directed=False)
     if pieces > 1:

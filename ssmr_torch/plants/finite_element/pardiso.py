@@ -1,4 +1,4 @@
-"""PARDISO through MKL's C interface, analysed once, on one thread. The only file that knows MKL."""
+"""The PARDISO solver through MKL's C interface, analysed once, on one thread. No other file uses MKL."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ANALYSE, FACTORIZE_AND_SOLVE, RELEASE = 11, 23, -1
 
 
 class Pardiso:
-    """A x = b by L D Lᵀ of the upper triangle. Raises ValueError when MKL is not installed or refuses the matrix."""
+    """Solves A x = b by L D Lᵀ of the upper triangle. Raises ValueError without MKL, or when MKL reports an error."""
 
     def __init__(self, sparsity: Sparsity):
         self.sparsity = sparsity
@@ -30,7 +30,7 @@ class Pardiso:
         self._rows = np.concatenate([[0], np.cumsum(np.bincount(column[self._kept], minlength=n))]).astype(np.int32)
         self._columns = sparsity.indices[self._kept].astype(np.int32)
         self._handle, self._options = np.zeros(64, dtype=np.int64), np.zeros(64, dtype=np.int32)
-        # own settings, minimum degree in parallel off, no iterative refinement, pivots perturbed by 1e-13, 0-based
+        # Options: own settings, serial minimum degree, no iterative refinement, pivots perturbed by 1e-13, 0-based.
         self._options[[0, 1, 7, 9, 34]] = 1, 2, 0, 13, 1
         self._x = np.empty(n)
         data = np.zeros(len(sparsity.indices))
@@ -52,7 +52,7 @@ class Pardiso:
                               integer(0), _pointer(right), _pointer(self._x), ctypes.byref(error))
         self._library.MKL_Set_Num_Threads_Local(before)
         if error.value:
-            raise ValueError(f"PARDISO refused phase {phase} with error {error.value} (MKL's manual lists them)")
+            raise ValueError(f"PARDISO failed in phase {phase} with error {error.value}; see the list in MKL's manual")
 
     def __getstate__(self) -> dict:
         return {"sparsity": self.sparsity}

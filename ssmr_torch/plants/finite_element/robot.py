@@ -1,4 +1,4 @@
-"""A finite-element robot as a plant."""
+"""A plant by finite elements: a clamped elastic body that is pulled by cables."""
 
 from __future__ import annotations
 
@@ -21,19 +21,20 @@ SLOWEST = 12
 
 
 class FiniteElementRobot(PlantSheet):
-    """A clamped elastic body of tetrahedra that cables pull; a Plant.
+    """A clamped elastic body of tetrahedra, pulled by cables.
 
-    markers: name → a node's number, or a point (3,) m in the undeformed body, which stands for the node nearest to it;
-    the first is the tip, where the payload hangs; None leaves a marker out. The observation is their displacement from
-    the rest of the nominal robot (no payload, stiffness_scale 1): a loaded one starts at its own rest, elsewhere.
-    input_bounds: (2,) or (2, m) N, the lowest zero or more, as cables only pull.
+    markers: name → number of a node, or a point (3,) m in the undeformed body, for which the nearest node is taken. The
+    first is the tip, which carries the payload; None leaves a marker out. The observation is the displacement of the
+    markers from the rest of the nominal robot (no payload, stiffness_scale 1). A loaded robot starts at its own rest,
+    so that its first observation is not zero.
+    input_bounds: (2,) or (2, m) N, the lowest zero or more, because cables only pull.
     scheme: "backward_euler" (the reference), "generalized_alpha" or "bdf2"; the last two need the neo-Hookean law.
     linear_solver: "block_ldl", "superlu" or "pardiso".
 
-    state: positions of all nodes (3 N), velocities of the free degrees of freedom (n), the scheme's memory.
-    clipped: steps since reset whose input was out of bounds.   A step that diverges (not finite, or further away than
-    `FARTHEST` times the body's size) raises DivergenceError and leaves the state as it was.
-    Raises ValueError for markers, bounds, times or schemes that cannot be.
+    state: positions of all nodes (3 N), velocities of the free degrees of freedom (n), memory of the scheme.
+    clipped: number of steps since the reset with an input out of bounds.   A step that diverges (not finite, or further
+    away than `FARTHEST` times the body's size) raises DivergenceError and leaves the state as it was.
+    Raises ValueError for impossible markers, bounds, times or schemes.
     """
 
     FARTHEST = 3.0
@@ -47,21 +48,20 @@ class FiniteElementRobot(PlantSheet):
         if scheme not in SCHEMES:
             raise ValueError(f"scheme is {scheme!r}; expected one of {tuple(SCHEMES)}")
         if (scheme == "backward_euler") != (mechanics.law == "corotational"):
-            raise ValueError(f"scheme {scheme!r} with law {mechanics.law!r}: with the warped stiffness of the "
-                             "corotational law Newton's method takes some twenty iterations, and one linear solve per "
-                             "step limit-cycles with the neo-Hookean law; use backward_euler with corotational, "
-                             "generalized_alpha or bdf2 with neo_hookean")
+            raise ValueError(f"scheme {scheme!r} does not work with law {mechanics.law!r}: Newton's method is slow "
+                             "with the corotational law, and backward_euler oscillates with the neo-Hookean one; use "
+                             "backward_euler with corotational, generalized_alpha or bdf2 with neo_hookean")
         _refuse_loose(mesh, clamped)
         self.name, self.timestep = name, float(timestep)
         self.markers = {marker: _node(mesh, marker, place) for marker, place in markers.items() if place is not None}
         if not self.markers:
-            raise ValueError("no markers; name one at least, the tip first")
+            raise ValueError("there are no markers; name one or more, the tip first")
         self.output_names = tuple(f"{marker}_{axis}" for marker in self.markers for axis in AXES)
         self.input_names = tuple(input_names)
         self.input_bounds = input_range(input_bounds, cables.count, "N")
         if (self.input_bounds[0] < 0).any():
-            raise ValueError(f"the lowest inputs are {self.input_bounds[0].tolist()} N; expected 0 or more, cables "
-                             "only pull")
+            raise ValueError(f"the lowest inputs are {self.input_bounds[0].tolist()} N; expected 0 or more, because "
+                             "cables only pull")
         self._nodes = np.array(list(self.markers.values()))
         tip = int(self._nodes[0])
         self.structure = Structure(mesh, cables, mechanics, clamped, tip)
@@ -76,7 +76,7 @@ class FiniteElementRobot(PlantSheet):
 
     @property
     def origin(self) -> dict:
-        """What the robot was made from, beyond its parameters: size and hash of the mesh."""
+        """Size and hash of the mesh from which the robot was made."""
         mesh = self.structure.mesh
         content = hashlib.sha256(mesh.nodes.tobytes() + mesh.tetrahedra.tobytes()).hexdigest()
         return {"nodes": len(mesh.nodes), "tetrahedra": len(mesh.tetrahedra), "sha256": content}
@@ -91,23 +91,23 @@ class FiniteElementRobot(PlantSheet):
 
     @property
     def positions(self) -> np.ndarray:
-        """(N, 3) m, where all nodes are now."""
+        """(N, 3) m, the present positions of all nodes."""
         return self._state.positions.copy()
 
     @property
     def eigenvalues(self) -> np.ndarray:
-        """(12,) the slowest at rest, 1/s: of the step map, or in continuous time for the schemes of second order."""
+        """(12,) 1/s, the slowest ones at rest: of one step, or in continuous time for schemes of second order."""
         exact = self.structure.mechanics.law == "neo_hookean"
         return (continuous_eigenvalues if exact else step_map_eigenvalues)(self, SLOWEST)
 
     @property
     def resting(self) -> np.ndarray:
-        """(N, 3) m, where all nodes are at rest, under the payload."""
+        """(N, 3) m, the positions of all nodes at rest, with the payload."""
         return self._rest.copy()
 
     @property
     def surface(self) -> np.ndarray:
-        """(F, 3) nodes of the triangles that one sees."""
+        """(F, 3) nodes of the triangles on the surface."""
         return self.structure.mesh.surface
 
     @property
@@ -117,22 +117,25 @@ class FiniteElementRobot(PlantSheet):
 
     @property
     def undeformed(self) -> np.ndarray:
-        """The state of the mesh as it was read, without motion."""
+        """The state of the undeformed mesh, without motion."""
         nodes, still = self.structure.mesh.nodes, np.zeros(self.structure.sparsity.size)
         start = self._scheme.start(self.structure, nodes, still, self.input_bounds[0], self.timestep)
         return np.concatenate([start.positions.ravel(), start.velocities, start.memory.ravel()])
 
     def reset(self, seed: int | None = None, state: np.ndarray | None = None) -> np.ndarray:
-        """Go to `state` (default: rest); nothing here is random, so `seed` has no effect."""
+        """Go to `state` (default: rest). `seed` has no effect, because nothing is random."""
         self._state = self._resting(self._rest) if state is None else self._unpacked(state)
         self.clipped = 0
         return self.displacement
 
     def step(self, input: np.ndarray) -> np.ndarray:
-        """Hold the tensions (m,) N for one timestep, clipped to the bounds and counted; a misfit raises ValueError."""
+        """Hold the tensions (m,) N for one timestep. Values out of bounds are clipped and counted.
+
+        Raises ValueError for a wrong size or non-finite values.
+        """
         tensions = finite_vector(input, len(self.input_names), "input")
         within = np.clip(tensions, *self.input_bounds)
-        with np.errstate(all="ignore"):  # what overflows is refused below
+        with np.errstate(all="ignore"):  # an overflow is refused below
             found = self._scheme.step(self.structure, self._solver, self._state, within, self.timestep)
         self._refuse_divergence(found, within)
         self._state = found
@@ -140,7 +143,7 @@ class FiniteElementRobot(PlantSheet):
         return self.displacement
 
     def settle(self, input: np.ndarray) -> np.ndarray:
-        """Go to the static equilibrium under tensions (m,) N within the bounds; the observation there."""
+        """Go to the static equilibrium under tensions (m,) N within the bounds; returns the observation there."""
         tensions = np.clip(finite_vector(input, len(self.input_names), "input"), *self.input_bounds)
         self._state = self._resting(equilibrium(self.structure, tensions, self._state.positions))
         return self.displacement
@@ -150,12 +153,12 @@ class FiniteElementRobot(PlantSheet):
         positions = (self._state if state is None else self._unpacked(state)).positions
         tensions = self.input_bounds[0] if input is None else finite_vector(input, len(self.input_names), "input")
         if (tensions < 0).any():
-            raise ValueError(f"tensions are {tensions.tolist()} N; expected 0 or more, cables only pull")
+            raise ValueError(f"tensions are {tensions.tolist()} N; expected 0 or more, because cables only pull")
         return self.structure.linearization(positions, tensions)
 
     @property
     def output_matrix(self) -> np.ndarray:
-        """(p, n), observation of a displacement of the free degrees of freedom; zero rows for clamped markers."""
+        """(p, n), from displacements of the free degrees of freedom to the observation; zero for clamped markers."""
         sparsity = self.structure.sparsity
         matrix = np.zeros((len(self.output_names), sparsity.size))
         for row, node in enumerate(self._nodes):
@@ -176,8 +179,8 @@ class FiniteElementRobot(PlantSheet):
         clamped = self.structure.sparsity.number < 0
         moved = np.abs(found.positions - self.structure.mesh.nodes)[clamped].max()
         if moved:
-            raise ValueError(f"state has clamped nodes up to {moved:.3g} m off their place; expected them in it: give "
-                             "a state that this robot returned")
+            raise ValueError(f"state has clamped nodes up to {moved:.3g} m away from their place; expected them at "
+                             "their place: give a state that this robot returned")
         return found
 
     def _refuse_divergence(self, found: State, tensions: np.ndarray) -> None:
@@ -185,12 +188,12 @@ class FiniteElementRobot(PlantSheet):
         farthest = np.abs(found.positions - self._rest).max()
         if not (np.isfinite(found.velocities).all() and farthest <= self.FARTHEST * size):
             raise DivergenceError(f"{self.name} diverged under the tensions {tensions.tolist()} N: a node moved "
-                                  f"{farthest:.3g} m, the body measures {size:.3g} m; the state before the step "
-                                  "stands: lower the inputs or the timestep")
+                                  f"{farthest:.3g} m, the size of the body is {size:.3g} m. The robot keeps the state "
+                                  "before this step; lower the inputs or the timestep")
 
 
 def plain(value):
-    """A constructor's argument as JSON has it."""
+    """A constructor's argument as a JSON value."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     return value if isinstance(value, str) or value is None else np.asarray(value).tolist()
@@ -207,9 +210,9 @@ def _node(mesh: TetrahedralMesh, marker: str, place: int | Sequence[float]) -> i
 
 
 def _refuse_loose(mesh: TetrahedralMesh, clamped: np.ndarray) -> None:
-    """Fewer than three nodes, or three in a line, let the body turn."""
+    """Raise ValueError where too few nodes are clamped, or all in a line, so that the body can rotate."""
     offsets = mesh.nodes[clamped] - mesh.nodes[clamped].mean(axis=0)
     if np.linalg.matrix_rank(offsets, tol=1e-6 * mesh.size) < 2:
         raise ValueError(f"{len(clamped)} nodes of a body of {mesh.size:.3g} m are clamped, all in a line, so that it "
-                         "can turn; expected three at least that span a plane: check the unit of the mesh and the "
-                         "place of the clamp")
+                         "can rotate; expected three or more that span a plane: check the unit of the mesh and the "
+                         "position of the clamp")

@@ -1,4 +1,4 @@
-"""Where the entries of the stiffness go: free nodes in an order of little fill, 3 x 3 blocks in sparse columns."""
+"""The sparsity pattern of the stiffness matrix: free nodes in an order with little fill, 3 x 3 blocks in columns."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from scipy.sparse.linalg import splu
 class Sparsity:
     """Pattern of a matrix over the free degrees of freedom, made once and filled in place at every step.
 
-    node_count: N.   groups: (G, k) node numbers that couple with each other, such as tetrahedra, and arrays of other
-    widths after them (the nodes that one cable joins).   clamped: numbers of the nodes that do not move.
+    node_count: N.   groups: (G, k) numbers of nodes that are coupled, such as tetrahedra; then arrays of other widths,
+    for the nodes that one cable couples.   clamped: numbers of the nodes that do not move.
     The free nodes are numbered in the minimum-degree order of their graph (SuperLU's MMD of Aᵀ + A), so that
-    factorizations need no ordering of their own; `order` prescribes another.
+    factorizations need no ordering of their own; `order` gives another order.
     order: (n / 3,) free nodes in that order.   indptr, indices: of the CSC matrix (n, n), n = 3 · free nodes.
     """
 
@@ -23,7 +23,7 @@ class Sparsity:
                  order: np.ndarray | None = None):
         free = np.setdiff1d(np.arange(node_count), clamped)
         if not len(free):
-            raise ValueError(f"all {node_count} nodes are clamped; leave some free")
+            raise ValueError(f"all {node_count} nodes are clamped; leave some of them free")
         self.order = free[_minimum_degree(_graph(node_count, groups)[:, free][free])] if order is None else order
         self.number = np.full(node_count, -1)
         self.number[self.order] = np.arange(len(self.order))
@@ -42,8 +42,8 @@ class Sparsity:
                                   + j * (self.heights + 1) for j in range(3)], order="F")
 
     def places(self, groups: np.ndarray, ordered: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """For node groups (G, k): the start of each block a, b in `data` (G, k, k), −1 where a or b is clamped, and
-        the stride between the columns of b's blocks (G, k).
+        """For groups of nodes (G, k): the start of each block a, b in `data` (G, k, k), −1 where a or b is clamped, and
+        the stride between the columns of the blocks of b (G, k).
         """
         numbers = groups if ordered else self.number[groups]
         k = groups.shape[1]
@@ -57,11 +57,11 @@ class Sparsity:
         return start.reshape(*groups.shape, k).astype(np.int64), np.where(numbers < 0, 0, self.heights[numbers])
 
     def matrix(self, data: np.ndarray) -> csc_array:
-        """The (n, n) matrix with these entries, which are not copied."""
+        """The (n, n) matrix with these entries, without copying them."""
         return csc_array((data, self.indices, self.indptr), (self.size, self.size))
 
     def gather(self, nodal: np.ndarray) -> np.ndarray:
-        """(N, 3) → (n,): the free degrees of freedom, in order."""
+        """(N, 3) → (n,): the values at the free degrees of freedom, in order."""
         return nodal[self.order].ravel()
 
     def scatter(self, values: np.ndarray, nodal: np.ndarray) -> np.ndarray:
@@ -72,7 +72,7 @@ class Sparsity:
 
 
 def _graph(node_count: int, groups: Sequence[np.ndarray]) -> csc_array:
-    """Adjacency of the nodes with themselves and within groups, (N, N) ones."""
+    """(N, N) with ones on the diagonal and between all nodes of a group."""
     rows = np.concatenate([np.repeat(group, group.shape[1], axis=1).ravel() for group in groups])
     columns = np.concatenate([np.tile(group, (1, group.shape[1])).ravel() for group in groups])
     graph = coo_array((np.ones(len(rows)), (rows, columns)), (node_count, node_count)).tocsc()
@@ -81,7 +81,7 @@ def _graph(node_count: int, groups: Sequence[np.ndarray]) -> csc_array:
 
 
 def _minimum_degree(graph: csc_array) -> np.ndarray:
-    """The order in which SuperLU would eliminate: perm_c of a diagonally dominant matrix with this graph."""
+    """SuperLU's elimination order: perm_c of a diagonally dominant matrix with this graph."""
     dominant = graph.copy()
     dominant.setdiag(graph.shape[0] + 1.0)
     factor = splu(dominant, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}, diag_pivot_thresh=0.0)

@@ -1,4 +1,4 @@
-"""An elastic body with mass, damping, gravity and cables: the semi-discrete equations of motion."""
+"""The equations of motion of an elastic body with mass, damping, gravity and cables, discretized in space."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ MASS_DISTRIBUTIONS = ("nodal", "volume")
 
 @dataclass(frozen=True)
 class Mechanics:
-    """What the body is made of and how it is modelled.
+    """The material of the body and its model.
 
-    young: Pa.   poisson: 1.   mass: of the whole body, kg.   mass_damping α, 1/s, and stiffness_damping β, s: Rayleigh.
+    young: Pa.   poisson: 1.   mass: kg, of the whole body.   mass_damping α, 1/s, and stiffness_damping β, s: Rayleigh.
     gravity: (3,) m/s².   law: "corotational" (edge frames) or "neo_hookean".
-    mass_distribution: "nodal", equal shares to all nodes, clamped ones too, or "volume", a quarter of each
-    tetrahedron's mass to its nodes.   payload: at the tip, kg.   stiffness_scale: times the modulus, for a robot
-    that is not quite the one that was modelled.
+    mass_distribution: "nodal" gives all nodes the same share, also clamped ones; "volume" gives each node of a
+    tetrahedron a quarter of its mass.   payload: kg, at the tip.   stiffness_scale: factor of the modulus, for a robot
+    that differs a little from the modelled one.
     Raises ValueError for values out of range.
     """
 
@@ -56,7 +56,7 @@ class Mechanics:
             raise ValueError(f"mass_distribution is {self.mass_distribution!r}; expected one of {MASS_DISTRIBUTIONS}")
 
     def changed(self, values: Mapping) -> Mechanics:
-        """The same with some values changed by name. Raises ValueError for a name that it does not have."""
+        """The same with some values changed by name. Raises ValueError for an unknown name."""
         known = [field.name for field in fields(self)]
         unknown = sorted(set(values) - set(known))
         if unknown:
@@ -65,7 +65,7 @@ class Mechanics:
 
     @property
     def nominal(self) -> Mechanics:
-        """The same without payload and change of stiffness."""
+        """The same with no payload and stiffness_scale 1."""
         return replace(self, payload=0.0, stiffness_scale=1.0)
 
 
@@ -73,8 +73,8 @@ class Mechanics:
 class Linearization:
     """M δq̈ + D δq̇ + K δq = H δu + r about a configuration; n free degrees of freedom, x, y, z of `free_nodes`.
 
-    mass: (n,) kg, diagonal.   damping: α M + β K_w, (n, n) kg/s.   stiffness: (n, n) N/m, exact, with that of the
-    tensions.   input_matrix: (n, m).   residual: r (n,) N, the force that is left, damping aside.
+    mass: (n,) kg, diagonal.   damping: α M + β K_w, (n, n) kg/s.   stiffness: (n, n) N/m, exact, with the tensions.
+    input_matrix: (n, m).   residual: r (n,) N, the remaining force without damping.
     """
 
     mass: np.ndarray
@@ -88,7 +88,7 @@ class Linearization:
 class Structure:
     """M q̈ + C(q) q̇ + f(q) = M g + H(q) u on the free degrees of freedom, C = α M + β K_w(q).
 
-    K_w is the warped stiffness R K_e Rᵀ, whatever the law: an exact hyperelastic tangent would make a hanging body
+    K_w is the warped stiffness R K_e Rᵀ for every law, because an exact hyperelastic tangent would make a hanging body
     overdamped.   clamped: numbers of the nodes that do not move.   tip: the node that carries the payload.
     positions: (N, 3) m of all nodes.   Vectors (n,) hold the free degrees of freedom in the order of `sparsity`.
     """
@@ -111,12 +111,12 @@ class Structure:
 
     @property
     def weight(self) -> float:
-        """‖M g‖ of the free nodes, N, the scale of tolerances."""
+        """‖M g‖ of the free nodes, N; tolerances are relative to it."""
         return float(np.linalg.norm(self._weight[self.sparsity.order]))
 
     @property
     def rounding(self) -> float:
-        """What rounding leaves of forces that balance, N: some 10⁻¹⁵ E size²."""
+        """The rounding error of forces in balance, N: about 10⁻¹⁵ E size²."""
         return 1e-15 * self.mechanics.young * self.mechanics.stiffness_scale * self.mesh.size ** 2
 
     def forces(self, positions: np.ndarray, tensions: np.ndarray, stiffness: np.ndarray | None = None) -> np.ndarray:
@@ -145,7 +145,7 @@ class Structure:
     def energy(self, positions: np.ndarray, velocities: np.ndarray) -> float:
         """Kinetic, elastic (neo-Hookean law only) and gravitational, J. velocities: (n,) m/s."""
         if self.law != elements.NEO_HOOKEAN:
-            raise ValueError("the edge-frame law has no energy; ask that of the neo-Hookean one")
+            raise ValueError("the corotational law has no energy; use the neo_hookean law")
         deformation = np.einsum("eai,eaj->eij", positions[self.mesh.tetrahedra], self._gradients)
         lame, shear = self._lame
         logarithm = np.log(np.linalg.det(deformation))
@@ -154,11 +154,11 @@ class Structure:
                      - (self._weight * positions).sum())
 
     def zeros(self) -> np.ndarray:
-        """Entries of an empty matrix."""
+        """The entries of a zero matrix."""
         return np.zeros(len(self.sparsity.indices))
 
     def tangent(self, positions: np.ndarray, tensions: np.ndarray) -> csc_array:
-        """∂(f(q) − H(q) u)/∂q, (n, n) N/m, exact: with the cables and, for the corotational law, unsymmetric."""
+        """∂(f(q) − H(q) u)/∂q, (n, n) N/m, exact: with the cables; unsymmetric for the corotational law."""
         sparsity, places, cable_places = self._coupled
         data = np.zeros(len(sparsity.indices))
         self._assemble(self.law, positions, np.zeros_like(positions), data, places)
@@ -169,7 +169,7 @@ class Structure:
         return sparsity.matrix(data)
 
     def linearization(self, positions: np.ndarray, tensions: np.ndarray) -> Linearization:
-        """The matrices at a configuration."""
+        """The matrices at these positions and tensions."""
         damping = self.mechanics.stiffness_damping * self.warped_stiffness(positions)
         damping[self.sparsity.diagonal] += self.mechanics.mass_damping * self.mass
         inputs = self.cables.input_matrix(positions)[self.sparsity.order].reshape(self.sparsity.size, -1)
@@ -178,7 +178,7 @@ class Structure:
 
     @cached_property
     def _coupled(self) -> tuple[Sparsity, tuple, tuple]:
-        """The pattern with what cables couple, in the same order, and the places of tetrahedra and stretches in it."""
+        """The pattern with the coupling by cables, in the same order, and the places of tetrahedra and stretches."""
         if self._cable_places is not None:
             return self.sparsity, self._places, self._cable_places
         sparsity = Sparsity(len(self.mesh.nodes), [self.mesh.tetrahedra, self.cables.stretches],

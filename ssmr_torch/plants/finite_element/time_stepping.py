@@ -1,6 +1,6 @@
-"""Time stepping: the linearized backward Euler of the reference scheme, and two of second order with Newton.
+"""Time stepping: the linearized backward Euler of the reference scheme, and two schemes of second order with Newton.
 
-The order is that for inputs that vary smoothly; a jump of the tensions, which no scheme here restarts for, costs one.
+The order holds for inputs that vary smoothly. A jump of the tensions reduces it by one, as no scheme restarts there.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from ssmr_torch.plants.finite_element.linear_solvers import LinearSolver
 from ssmr_torch.plants.finite_element.structure import Structure
 
 NEWTON_ITERATIONS = 20
-# of the forces' size; what Newton reaches in two or three iterations from the extrapolated state
+# Of the size of the forces. Newton's method reaches it in two or three iterations from the extrapolated state.
 NEWTON_TOLERANCE = 1e-9
 
 
 class State(NamedTuple):
-    """positions: (N, 3) m.   velocities: (n,) m/s.   memory: (k, n), what a scheme remembers besides."""
+    """positions: (N, 3) m.   velocities: (n,) m/s.   memory: (k, n), what else the scheme remembers."""
 
     positions: np.ndarray
     velocities: np.ndarray
@@ -30,22 +30,22 @@ class Scheme(Protocol):
 
     def start(self, structure: Structure, positions: np.ndarray, velocities: np.ndarray, tensions: np.ndarray,
               timestep: float) -> State:
-        """A state with the memory that motion under these tensions implies."""
+        """The state for this motion under these tensions, with the memory that the scheme needs."""
 
     def step(self, structure: Structure, solver: LinearSolver, state: State, tensions: np.ndarray,
              timestep: float) -> State:
-        """The state one timestep (s) later, tensions (m,) in N held. Raises DivergenceError."""
+        """The state one timestep (s) later, with tensions (m,) in N held. Raises DivergenceError."""
 
 
 class DivergenceError(ValueError):
-    """A step that has no trustworthy result; the state before it stands."""
+    """A step has no trustworthy result. The robot keeps the state before it."""
 
 
 class BackwardEuler:
     """One linear solve per step: [(1 + hα) M + h (h + β) K] Δv = h [M g + H(q) u − f(q) − (h + β) K v − α M v],
 
     then v += Δv, q += h v; K is the law's tangent and H the cable directions at the start of the step. First order:
-    at h = 0.01 s it adds about 45 % to the damping of a mode at 16 rad/s. The reference scheme of the paper's plants.
+    at h = 0.01 s it adds about 45 % to the damping of a mode at 16 rad/s. It is the scheme of the paper's plants.
     """
 
     memory_rows = 0
@@ -68,7 +68,7 @@ class BackwardEuler:
 
 
 class GeneralizedAlpha:
-    """Chung and Hulbert's scheme, second order, ρ the spectral radius at infinite frequency (J. Appl. Mech. 60, 1993).
+    """Chung and Hulbert's scheme, second order (J. Appl. Mech. 60, 1993). ρ: spectral radius at infinite frequency.
 
         M a_m + C v_f + f(q_f) = M g + H(q_f) u,   x_f = (1 − α_f) x₊ + α_f x,   a_m = (1 − α_m) a₊ + α_m a,
         α_m = (2ρ − 1)/(ρ + 1),  α_f = ρ/(ρ + 1),  γ = ½ − α_m + α_f,  β = ¼ (1 − α_m + α_f)².
@@ -104,7 +104,7 @@ class GeneralizedAlpha:
 class BDF2:
     """Second-order backward differences: (3 x₊ − 4 x + x₋) / (2h) of q and v at the end of the step; L-stable.
 
-    Memory: displacement and velocity one step ago, relative to now.
+    Memory: displacement and velocity one step before, relative to the present ones.
     """
 
     memory_rows = 2
@@ -172,7 +172,7 @@ def _newton(structure, solver, positions, tensions, inertia, velocity, displacem
         while not np.linalg.norm(residual(x + fraction * direction)[0]) < size:
             fraction /= 2
             if fraction < 1e-4:
-                raise DivergenceError(f"Newton's method is stuck at a residual of {size:.3g} N, expected "
+                raise DivergenceError(f"Newton's method cannot lower the residual of {size:.3g} N, expected "
                                       f"{tolerance:.3g} N; lower the inputs or the timestep")
         x = x + fraction * direction
     raise DivergenceError(f"Newton's method left a residual of {size:.3g} N after {NEWTON_ITERATIONS} iterations; "

@@ -188,6 +188,6 @@ def test_an_inverted_tetrahedron_has_no_neo_hookean_force(body, arm):
 
 @pytest.mark.parametrize(("young", "poisson"), [(0, 0.3), (-1, 0.3), (np.inf, 0.3), (np.nan, 0.3), (1, 0.5), (1, -1),
                                                 (1, np.nan)])
-def test_a_material_that_cannot_be_is_refused(young, poisson):
+def test_an_impossible_material_is_refused(young, poisson):
     with pytest.raises(ValueError, match="expected a positive modulus"):
         elements.lame_parameters(young, poisson)

@@ -51,7 +51,7 @@ def test_it_is_the_same_from_the_equilibrium_of_another_pull(body, law, before):
 
 
 @pytest.mark.parametrize("scheme", ["backward_euler", "generalized_alpha", "bdf2"])
-def test_a_robot_that_is_held_long_enough_comes_to_it(robot, scheme):
+def test_a_robot_under_constant_tensions_comes_to_the_equilibrium(robot, scheme):
     """The slowest mode loses a factor of 10⁶ within 4 s."""
     arm = robot(scheme, mass_damping=4.0)
     for _ in range(400):

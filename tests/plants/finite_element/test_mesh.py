@@ -140,13 +140,13 @@ def test_the_box_holds_the_nodes_on_its_faces_too(arm):
     ({"nodes": np.vstack([CORNER, [np.inf, 1, 1]])}, "1 of 5 nodes are not finite"),
     ({"tetrahedra": [[0, 1, 2, 3], [1, 2, 3, 5]]}, "there are 5"),
     ({"tetrahedra": [[0, 1, 2, 3], [1, 2, 3, -1]]}, "counted from 0"),
-    ({"tetrahedra": ONE}, "1 of 5 nodes belong to no tetrahedron, the first is node 4"),
-    ({"tetrahedra": [[0, 1, 2, 3], [3, 2, 1, 4]]}, "1 of 2 tetrahedra are inverted or flat, the first is number 1"),
+    ({"tetrahedra": ONE}, "1 of 5 nodes belong to no tetrahedron; the first is node 4"),
+    ({"tetrahedra": [[0, 1, 2, 3], [3, 2, 1, 4]]}, "1 of 2 tetrahedra are inverted or flat; the first is number 1"),
     ({"nodes": np.vstack([CORNER, [1 / 3] * 3])}, "inverted or flat"),
     ({"nodes": np.vstack([CORNER, CORNER + 2]), "tetrahedra": [[0, 1, 2, 3], [4, 5, 6, 7]]}, "in 2 pieces"),
 ], ids=["flat space", "triangles", "nothing", "NaN", "infinite", "too large a number", "negative number", "orphan",
         "inverted", "flat", "two pieces"])
-def test_a_mesh_that_is_no_body_is_refused(flawed, spoilt, match):
+def test_a_mesh_that_is_not_a_body_is_refused(flawed, spoilt, match):
     flawed()
     with pytest.raises(ValueError, match=match):
         flawed(**spoilt)
@@ -157,7 +157,7 @@ def test_an_empty_box_is_refused_with_the_extent_of_the_mesh(arm):
         arm.nodes_in_box((1, 1, 1), (2, 2, 2))
 
 
-def test_a_mesh_neither_keeps_nor_lends_the_arrays_of_the_caller():
+def test_a_mesh_does_not_share_memory_with_the_arrays_of_the_caller():
     nodes, tetrahedra = CORNER.copy(), np.array(ONE)
     mesh = TetrahedralMesh(nodes, tetrahedra)
     nodes[:] = tetrahedra[:] = 7

@@ -46,7 +46,7 @@ def test_tetrahedra_in_several_blocks_are_one_body(write, arm):
 
 
 def test_a_point_that_no_cell_uses_is_refused(write, arm):
-    with pytest.raises(ValueError, match="1 of 100 nodes belong to no tetrahedron, the first is node 99"):
+    with pytest.raises(ValueError, match="1 of 100 nodes belong to no tetrahedron; the first is node 99"):
         read_mesh(write(points=np.vstack([1e3 * arm.nodes, [0, 0, 500]])))
 
 

@@ -74,7 +74,7 @@ def test_the_rates_come_in_conjugate_pairs_and_none_grows(robot):
 
 
 def test_the_step_map_is_that_of_backward_euler_only(robot):
-    with pytest.raises(ValueError, match="step map of backward_euler is meant"):
+    with pytest.raises(ValueError, match="expected a robot with scheme=backward_euler"):
         step_map_eigenvalues(robot("bdf2"))
 
 

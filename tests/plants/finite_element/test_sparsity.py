@@ -88,7 +88,7 @@ def test_a_prescribed_order_is_kept(groups):
     np.testing.assert_array_equal(Sparsity(99, groups, CLAMPED, order).order, order)
 
 
-def test_the_diagonal_is_where_it_is_said_to_be(sparsity):
+def test_the_diagonal_has_the_stated_positions(sparsity):
     data, values = np.zeros(len(sparsity.indices)), np.random.default_rng(2).uniform(1, 2, sparsity.size)
     data[sparsity.diagonal] = values
     np.testing.assert_array_equal(sparsity.matrix(data).toarray(), np.diag(values))
@@ -110,5 +110,5 @@ def test_scatter_undoes_gather_and_leaves_clamped_nodes(sparsity, arm):
 
 
 def test_a_body_that_is_clamped_everywhere_is_refused(groups):
-    with pytest.raises(ValueError, match="all 99 nodes are clamped; leave some free"):
+    with pytest.raises(ValueError, match="all 99 nodes are clamped; leave some of them free"):
         Sparsity(99, groups, np.arange(99))

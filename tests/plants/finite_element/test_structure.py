@@ -163,18 +163,18 @@ GOOD = {"young": 1e5, "poisson": 0.4, "mass": 1.0, "mass_damping": 0.0, "stiffne
     ({"stiffness_damping": np.inf}, "expected 0 or more"), ({"law": "hookean"}, "expected one of"),
     ({"mass_distribution": "even"}, "expected one of"),
 ], ids=str)
-def test_mechanics_that_cannot_be_are_refused(changes, match):
+def test_impossible_mechanics_are_refused(changes, match):
     with pytest.raises(ValueError, match=match):
         Mechanics(**{**GOOD, **changes})
 
 
 @pytest.mark.parametrize("gravity", [(0, 0), (0, 0, np.nan), (0, 0, 0, 0)], ids=str)
-def test_a_gravity_that_is_no_vector_is_refused(gravity):
+def test_a_gravity_that_is_not_a_vector_is_refused(gravity):
     with pytest.raises(ValueError, match="gravity"):
         Mechanics(**{**GOOD, "gravity": gravity})
 
 
-def test_mechanics_change_by_name_and_refuse_names_that_they_have_not():
+def test_mechanics_change_by_name_and_refuse_unknown_names():
     changed = Mechanics(**GOOD).changed({"payload": 0.1, "stiffness_scale": 1.2})
     assert (changed.payload, changed.stiffness_scale, changed.young) == (0.1, 1.2, 1e5)
     assert changed.nominal == Mechanics(**GOOD)

@@ -259,7 +259,7 @@ def frequency(swing, timestep):
 # divergence
 
 @pytest.mark.parametrize("scheme", [GeneralizedAlpha(), BDF2()], ids=["generalized_alpha", "bdf2"])
-def test_newtons_method_says_where_it_is_stuck(body, arm, scheme):
+def test_newtons_method_reports_the_residual_when_it_fails(body, arm, scheme):
     structure = body("neo_hookean")
     size = structure.sparsity.size
     state = State(arm.nodes, np.full(size, 1e3), np.zeros((scheme.memory_rows, size)))
