@@ -34,7 +34,7 @@ HOMES = {
     "hydra": ["configuration.py"], "omegaconf": ["configuration.py"],
     "h5py": ["trajectory.py", "closed_loop/record.py", "commissioning/directory.py", "data/*",
              "collection/resumption.py", "paper/report_sections.py"],
-    "yaml": ["data/recording_card.py", "commissioning/card.py"],
+    "yaml": ["data/recording_card.py", "commissioning/card.py", "documents/stray_numbers.py"],
     "matplotlib": ["evaluation/*figures.py"],
     "jinja2": ["evaluation/report.py"], "markupsafe": ["evaluation/report.py"],
     "meshio": ["plants/finite_element/mesh_files.py"], "fontTools": ["tasks/symbols.py"],
@@ -57,7 +57,7 @@ EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "contr
 TOUCHES_FILES = [
     "trajectory.py", "deployment/artifact.py", "deployment/checkpoint_twin.py", "closed_loop/record.py",
     "provenance.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py", "commissioning/directory.py",
-    "controller_design/report.py", "defaults.py", "data/*",
+    "controller_design/report.py", "defaults.py", "data/*", "documents/*",
     "deployment/deploy.py", "fitting/by_kind.py", "fitting/checkpoints.py", "evaluation/*figures.py",
     "evaluation/report.py", "evaluation/report_sections.py",
     "paper/report_sections.py",
