@@ -13,6 +13,7 @@ from typing import NamedTuple
 from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.data_sheet import number
 from ssmr_torch.documents.store import FOLDER, Numbers, cell, read, write
+from ssmr_torch.provenance import provenance
 
 MM, MM2 = 1e3, 1e6
 RUN_OF_MAKE = "evaluate/scores.json"
@@ -46,6 +47,16 @@ def store_results(root: Path, directory: Path, name: str, table: str | None, com
                         date=found.origin["time"][:10], seed=configuration.get("seed"),
                         note=before.note if before else "", columns=found.columns, rows=found.rows))
     return path
+
+
+def store_tables(root: Path, tables: dict[str, tuple[list[str], list[list]]], command: str) -> None:
+    """Write (columns, rows) that a script has just made by `command` to docs/numbers/NAME.json, for every name."""
+    origin = provenance()
+    for name, (columns, rows) in tables.items():
+        path = root / FOLDER / f"{name}.json"
+        note = read(path).note if path.is_file() else ""
+        write(path, Numbers(command=[command], version=origin["package"].split()[-1], date=origin["time"][:10],
+                            note=note, columns=columns, rows=rows))
 
 
 def tables_of(directory: Path) -> dict[str, Table]:
