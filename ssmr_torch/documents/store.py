@@ -102,6 +102,7 @@ def write(path: Path, numbers: Numbers) -> None:
         raise ValueError(f"name={path.stem}: expected small letters, digits and underscores")
     parts = []
     for key, value in asdict(numbers).items():
+        value = rounded(value)
         if isinstance(value, list) and value and key in ("rows", "text", "command"):
             lines = ",\n  ".join(json.dumps(each, ensure_ascii=False) for each in value)
             parts.append(f' "{key}": [\n  {lines}\n ]')
@@ -110,3 +111,10 @@ def write(path: Path, numbers: Numbers) -> None:
     aside = path.with_name(path.name + ".part")
     aside.write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")
     os.replace(aside, path)
+
+
+def rounded(value):
+    """Five significant digits, as a store is small and a page shows three."""
+    if isinstance(value, list):
+        return [rounded(each) for each in value]
+    return float(f"{value:.5g}") if isinstance(value, float) else value
