@@ -39,8 +39,8 @@ def faults_of_blocks(text: str, stores: Mapping[str, Numbers]) -> list[str]:
         if not block["end"]:
             found.append(f"the block {block['name']} has no <!-- end -->")
         if block["name"] not in stores:
-            found.append(f"the block {block['name']} has no {FOLDER / block['name']}.json; there are "
-                         f"{', '.join(stores) or 'none'}")
+            found.append(f"the block {block['name']} has no {FOLDER / block['name']}.json; "
+                         f"`ssmr docs-numbers from=DIR name={block['name']}` writes it from results")
     return found
 
 

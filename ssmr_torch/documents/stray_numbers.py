@@ -27,7 +27,7 @@ AMOUNT = r"\d[\d,]*(?:\.\d+)?(?:e-?\d+)?|\.\d+"
 WITH_UNIT = re.compile(rf"(?<![\w.\-/])[−±-]?((?:{AMOUNT})\s?(?:{'|'.join(UNITS)}))(?![\w²³/])")
 IN_A_TABLE = re.compile(r"(?<![\w.])\d*\.\d+(?![\w.])")
 BLOCKS = re.compile(r"<!-- numbers: .*?<!-- end -->", re.DOTALL)
-CODE = re.compile(r"^```.*?^```|^(?: {4}.*\n)+|<!--.*?-->|``.*?``|`[^`]*`|\$\$.*?\$\$|\$[^$\n]*\$|\]\([^)]*\)",
+CODE = re.compile(r"^```.*?^```|^(?: {4}[^\n]*\n)+|<!--.*?-->|``.*?``|`[^`]*`|\$\$.*?\$\$|\$[^$\n]*\$|\]\([^)]*\)",
                   re.DOTALL | re.MULTILINE)
 
 
@@ -59,11 +59,12 @@ def stray_numbers(text: str, kinds: Mapping[str, list[str]], everywhere: Collect
     """What is wrong with the numbers of one page: those outside of blocks that are neither in a block of the page nor
     allowed, and allowed ones that the page does not have.
     """
-    in_blocks = set(re.findall(AMOUNT, " ".join(BLOCKS.findall(text))))
+    blocks = " ".join(BLOCKS.findall(text))
+    in_blocks, units = set(re.findall(AMOUNT, blocks)), set(re.findall(r"[^\W\d]+[²³]?|%", blocks))
     outside = numbers_in(CODE.sub(" ", BLOCKS.sub("\n", text)))
     permitted = [str(number) for each in kinds.values() for number in each]
     stray = {number for number in outside - set(permitted) - set(everywhere)
-             if re.match(AMOUNT, number)[0] not in in_blocks}
+             if not (re.match(AMOUNT, number)[0] in in_blocks and set(number.split()[1:]) <= units)}
     unused = {number for number in permitted if number not in outside}
     twice = {number for number in permitted if permitted.count(number) > 1}
     path = FOLDER / "allowed.yaml"
