@@ -20,11 +20,12 @@ RUN_OF_MAKE = "evaluate/scores.json"
 
 
 class Table(NamedTuple):
-    """columns and rows as in `Numbers`; origin: the provenance of the result file."""
+    """columns, rows and text as in `Numbers`; origin: the provenance of the result file."""
 
-    columns: list[str]
-    rows: list[list]
+    columns: list[str] | None
+    rows: list[list] | None
     origin: dict
+    text: list[str] | None = None
 
 
 def store_results(root: Path, directory: Path, name: str, table: str | None, command: list[str]) -> Path:
@@ -45,7 +46,8 @@ def store_results(root: Path, directory: Path, name: str, table: str | None, com
     configuration = found.origin.get("configuration", {})
     write(path, Numbers(command=command or before.command, version=found.origin["package"].split()[-1],
                         date=found.origin["time"][:10], seed=configuration.get("seed"),
-                        note=before.note if before else "", columns=found.columns, rows=found.rows))
+                        note=before.note if before else "", columns=found.columns, rows=found.rows,
+                        text=found.text))
     return path
 
 
@@ -63,8 +65,8 @@ def tables_of(directory: Path) -> dict[str, Table]:
     """Every table of a result directory by name. Raises ValueError where it has none."""
     found = {name: table for reader in READERS for name, table in reader(Path(directory))}
     if not found:
-        raise ValueError(f"{directory} has no results: expected the directory of make run, or of ssmr evaluate, "
-                         "compare, control, benchmark or reproduce")
+        raise ValueError(f"{directory} has no results: expected the directory of make run, or of ssmr train "
+                         "model=auto, evaluate, compare, control, benchmark or reproduce")
     return found
 
 
@@ -78,6 +80,14 @@ def _run_of_make(directory: Path) -> Iterator[tuple[str, Table]]:
     open_loop = _scores_table(content["scores"], content["provenance"])
     rows = [[*row, *loops.get(row[0], [None, None])] for row in open_loop.rows]
     yield "run", Table([*open_loop.columns, "letter, RMSE (mm)", "letter, ISE (mm²)"], rows, content["provenance"])
+
+
+def _selection(directory: Path) -> Iterator[tuple[str, Table]]:
+    """What a training with model=auto says of its choice, a line each."""
+    path = directory / "report.json"
+    content = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    if content.get("selection", {}).get("found"):
+        yield "selection", Table(None, None, content["provenance"], content["selection"]["found"])
 
 
 def _scores(directory: Path) -> Iterator[tuple[str, Table]]:
@@ -150,7 +160,7 @@ def _reproduction(directory: Path) -> Iterator[tuple[str, Table]]:
         yield name, Table(["robot: task", *methods], _by_task(runs, methods, value), origin or {})
 
 
-READERS = (_run_of_make, _scores, _comparison, _loops, _benchmark, _reproduction)
+READERS = (_run_of_make, _selection, _scores,  _comparison, _loops, _benchmark, _reproduction)
 
 
 def _by_task(runs: list[dict], methods: list[str], value: Callable[[dict], float]) -> list[list]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 from dataclasses import asdict, dataclass, fields
@@ -114,7 +115,9 @@ def write(path: Path, numbers: Numbers) -> None:
 
 
 def rounded(value):
-    """Five significant digits, as a store is small and a page shows three."""
+    """Five significant digits, because a page shows three; JSON has no infinite number, so that becomes a text."""
     if isinstance(value, list):
         return [rounded(each) for each in value]
-    return float(f"{value:.5g}") if isinstance(value, float) else value
+    if isinstance(value, float):
+        return float(f"{value:.5g}") if math.isfinite(value) else number(value)
+    return value

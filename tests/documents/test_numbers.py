@@ -151,6 +151,18 @@ def test_a_comparison_becomes_a_table_with_marks_for_each_group(tmp_path):
     assert found["decays"].rows == [["AUTO", "2 *", 0.0, 5.0, 20], ["DMD", "4", 0.0, 10.0, None]]
 
 
+def test_the_report_of_a_choice_becomes_a_printed_text(house, tmp_path):
+    save(tmp_path / "run" / "report.json", {"selection": {"found": ["Chosen: one.", "Refused: another."]}})
+    path = results.store_results(house, tmp_path / "run", "report", None, ["ssmr train model=auto"])
+    assert store.read(path).markdown().startswith("    Chosen: one.\n    Refused: another.\n\n*Measured by `ssmr train")
+
+
+def test_an_infinite_error_is_stored_as_a_sign_that_json_has(house):
+    path = house / "docs" / "numbers" / "scores.json"
+    store.write(path, store.Numbers(["make run"], "1.0.0", "2026-11-30", columns=["n"], rows=[[np.inf], [0.1234567]]))
+    assert "Infinity" not in path.read_text() and store.read(path).rows == [["∞"], [0.12346]]
+
+
 def test_of_several_tables_one_is_chosen_by_name(house, tmp_path):
     scores = {"SSMR": {"horizons": [part("1 s", 0.002)]}}
     save(tmp_path / "run" / "scores.json", {"scores": scores, "groups": {"decays": scores}})
