@@ -54,7 +54,7 @@ def main(config, directory):
                           progress=config.progress, provenance=origin | {"input_bounds": plant.input_bounds.tolist()})
     record.save(directory / "record.h5")
     if config.picture:
-        from ssmr_torch.evaluation.deformation import draw_robot
+        from ssmr_torch.closed_loop.deformation import draw_robot
 
         draw_robot(plant, record, directory, config.animate, task.obstacles)
     report = record.report(task.obstacles)

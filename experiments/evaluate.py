@@ -14,9 +14,9 @@ def main(config, directory):
     from ssmr_torch.deployment import artifact
     from ssmr_torch.evaluation import figures
     from ssmr_torch.evaluation.comparison_tables import comparison_table, format_groups, stored
-    from ssmr_torch.evaluation.report_sections import prediction_figures
     from ssmr_torch.evaluation.run_groups import compare_groups
     from ssmr_torch.provenance import provenance
+    from ssmr_torch.report.run_sections import prediction_figures
 
     paths = [config.artifact] if isinstance(config.artifact, str) else list(config.artifact)
     loaded = [artifact.load(path) for path in paths]

@@ -8,9 +8,9 @@ from ssmr_torch.experiments.entry import entry_point
 
 @entry_point("report")
 def main(config, directory):
-    from ssmr_torch.evaluation.report import write_report
-    from ssmr_torch.evaluation.report_sections import collect_sections
     from ssmr_torch.provenance import provenance
+    from ssmr_torch.report.html_page import write_report
+    from ssmr_torch.report.run_sections import collect_sections
 
     sections = collect_sections(config.directory)
     origin = {name: str(value) for name, value in provenance().items()}

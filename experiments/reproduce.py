@@ -287,8 +287,8 @@ def tables(directory: Path, settings: dict) -> None:
 def report(directory: Path, figures: list[str]) -> None:
     """report.html of the chosen figures."""
     # imported here: no job draws
-    from ssmr_torch.evaluation.report import write_report
     from ssmr_torch.paper.report_sections import report_sections
+    from ssmr_torch.report.html_page import write_report
 
     origin = {name: str(value) for name, value in provenance().items()}
     title = "Discovering dominant dynamics for nonlinear continuum robot control: what comes out"

@@ -29,7 +29,7 @@ def further_runs(config, dataset):
 
 def draw(report, eigenvalues, directory):
     from ssmr_torch.evaluation import figures
-    from ssmr_torch.evaluation.report_sections import training_figures
+    from ssmr_torch.report.run_sections import training_figures
 
     for name, figure in training_figures(report, eigenvalues).items():
         figures.save(figure, directory / f"{name}.svg")

@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from ssmr_torch.controller_design.design import design
     from ssmr_torch.controller_design.rehearsal import rehearse
     from ssmr_torch.data.arrays import trajectories
+    from ssmr_torch.evaluation.score_table import score
     from ssmr_torch.face import check, load, read, simulate
     from ssmr_torch.fitting.by_kind import fit
     from ssmr_torch.fitting.compare_models import compare
-    from ssmr_torch.score_table import score
     from ssmr_torch.trained_model import TrainedModel
     from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
@@ -51,7 +51,7 @@ __getattr__, __dir__ = lazily(__name__, {
     "design": "ssmr_torch.controller_design.design:design",
     "rehearse": "ssmr_torch.controller_design.rehearsal:rehearse",
     "compare": "ssmr_torch.fitting.compare_models:compare",
-    "score": "ssmr_torch.score_table:score", "TrainedModel": "ssmr_torch.trained_model:TrainedModel",
+    "score": "ssmr_torch.evaluation.score_table:score", "TrainedModel": "ssmr_torch.trained_model:TrainedModel",
     "Trajectory": "ssmr_torch.trajectory:Trajectory", "TrajectoryDataset": "ssmr_torch.trajectory:TrajectoryDataset",
     "ClosedLoopRecord": "ssmr_torch.closed_loop.record:ClosedLoopRecord",
     "ModelPredictiveController": "ssmr_torch.control.mpc:ModelPredictiveController",

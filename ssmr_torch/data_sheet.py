@@ -1,4 +1,4 @@
-"""Data sheets: how every object of the face prints itself, as a tree in a terminal and as a table in a notebook.
+"""Data sheets: how the public objects print, as a tree in a terminal and as a table in a notebook.
 
 >>> print(text("Robot: 2 cables", {"period": period(0.02), "outputs": listed(["x", "y"]), "range": {"x": "±1 mm"}}))
 Robot: 2 cables
@@ -14,20 +14,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from math import isfinite, isnan
 
-MOST = 6  # of the names and ranges that are listed one by one
+MOST = 6  # largest number of names and ranges that are listed
 
 
 class DataSheet:
-    """What prints itself as its data sheet.
+    """Base class of objects that print as a data sheet.
 
-    A class says what is on it by `data_sheet()` → (title, entries): entries map a label to a text, or to entries below
-    it.
+    A subclass returns the content by `data_sheet()` → (title, entries). entries map a label to a text, or to further
+    entries below it.
     """
 
     def __init_subclass__(cls, **options):
         super().__init_subclass__(**options)
         if "__repr__" not in vars(cls):
-            cls.__repr__ = DataSheet.__repr__  # a dataclass would make one that lists its fields
+            cls.__repr__ = DataSheet.__repr__  # otherwise a dataclass adds its own
 
     def data_sheet(self) -> tuple[str, Mapping]:
         """Title and entries of the sheet."""
@@ -57,7 +57,7 @@ def _branches(entries: Mapping) -> list[str]:
 
 
 def html(title: str, entries: Mapping) -> str:
-    """The sheet as a table of HTML, one row per entry; what lies below an entry is indented. Texts are escaped."""
+    """The sheet as an HTML table, one row per entry; entries below another entry are indented. Texts are escaped."""
     rows = "".join(_rows(entries, 0))
     return f"<table><thead><tr><th colspan='2'>{escape(title)}</th></tr></thead><tbody>{rows}</tbody></table>"
 
@@ -72,7 +72,7 @@ def _rows(entries: Mapping, depth: int) -> Iterable[str]:
 
 
 def columns(rows: Sequence[Sequence[str]]) -> str:
-    """A table as text: the first row is its header, the first column is aligned left, the others right."""
+    """A table as text. The first row is the header; the first column is aligned left, the others right."""
     widths = [max(map(len, column)) for column in zip(*rows)]
     lines = ["  ".join(cell.rjust(width) if place else cell.ljust(width)
                        for place, (cell, width) in enumerate(zip(row, widths))).rstrip() for row in rows]
@@ -88,7 +88,7 @@ def html_columns(rows: Sequence[Sequence[str]], caption: str) -> str:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A number with so many significant digits; ∞ where it is not finite."""
+    """A number with this many significant digits; ∞ for an infinite number."""
     value = float(value)
     if not isfinite(value):
         return "not a number" if value != value else "∞" if value > 0 else "−∞"
@@ -97,24 +97,24 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def period(seconds: float) -> str:
-    """A period with its rate, "0.02 s (50 Hz)"."""
+    """A period and its rate, for example "0.02 s (50 Hz)"."""
     return f"{number(seconds)} s ({number(1.0 / seconds)} Hz)"
 
 
 def span(low: float, high: float, unit: str, scale: float = 1.0) -> str:
-    """A range, "-3 … 2.5 mm"; scale: into the unit."""
+    """A range, for example "-3 … 2.5 mm". scale: factor that converts the values to the unit."""
     return f"{number(scale * low)} … {number(scale * high)}{unit and ' ' + unit}"
 
 
 def listed(names: Iterable) -> str:
-    """Names or numbers one by one, of many the first ones and how many there are."""
+    """A list of names or numbers; of a long list, the first ones and the total number."""
     names = [str(name) for name in names]
     shown = ", ".join(names if len(names) <= MOST + 1 else names[:MOST])
     return shown if len(names) <= MOST + 1 else f"{shown}, … ({len(names)})"
 
 
 def spans(names: Sequence[str], low: Sequence[float], high: Sequence[float], unit: str, scale: float = 1.0) -> dict:
-    """The range of each of these quantities, of many the first ones."""
+    """The range of each of these quantities; of a long list, the first ones."""
     ranges = {name: span(one, other, unit, scale) for name, one, other in zip(names, low, high)}
     if len(ranges) <= MOST + 1:
         return ranges
@@ -122,7 +122,9 @@ def spans(names: Sequence[str], low: Sequence[float], high: Sequence[float], uni
 
 
 def stability(rates: Iterable[complex]) -> str:
-    """How fast the slowest mode decays, of rates in 1/s; those that stand still, of constants, are left out."""
+    """Text on how fast the slowest mode decays, from rates in 1/s. Rates of zero, which belong to constants, are left
+    out.
+    """
     rates = [complex(rate) for rate in rates]
     if any(isnan(abs(rate)) for rate in rates):
         return "not known"
@@ -135,12 +137,12 @@ def stability(rates: Iterable[complex]) -> str:
 
 
 def unit_of(input_unit: str) -> str:
-    """How an input's unit is written: none for normalized commands."""
+    """An input's unit as it is printed: empty for normalized commands."""
     return "" if input_unit == "1" else input_unit
 
 
 def origin(provenance: Mapping) -> dict[str, str]:
-    """What a provenance says in a few words: reader or plant, files with the start of their SHA-256, commit."""
+    """Short entries for a provenance: reader or plant, files with the start of their SHA-256, version and commit."""
     found = {}
     reader = provenance.get("reader") or (f"plant {_name(provenance['plant'])}" if provenance.get("plant") else None)
     if reader:

@@ -1,4 +1,4 @@
-"""Which extra brings a package that is not there."""
+"""Which extra of pyproject.toml installs a missing package."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ BROUGHT_BY = {  # module → extra of pyproject.toml
 
 
 def remedy(error: BaseException | None) -> str | None:
-    """What to install when an error, or what caused it, is a package that an extra brings; None for another error."""
+    """A sentence on what to install, if an error or its cause is a missing package of an extra; None for other errors.
+    """
     while error is not None:
         package = str(getattr(error, "name", None)).split(".")[0]
         if isinstance(error, ModuleNotFoundError) and package in BROUGHT_BY:
@@ -25,7 +26,7 @@ def remedy(error: BaseException | None) -> str | None:
 
 
 def require(package: str) -> None:
-    """Raises ModuleNotFoundError, with what to install, unless the package is there."""
+    """Raises ModuleNotFoundError with the install command unless the package is installed."""
     if find_spec(package) is None:
         missing = ModuleNotFoundError(name=package)
         raise ModuleNotFoundError(remedy(missing), name=package)

@@ -51,7 +51,7 @@ def check(data: TrajectoryDataset) -> RecordingsReport:
     >>> swing = 8.0 * np.exp(-2.0 * t) * np.cos(9.0 * t)
     >>> report = check(ssmr_torch.trajectories(decays=[(t, swing, 0.0 * t)], units={"length": "mm"}))
     >>> print(report["decays"].said)
-    1 decay; in its last tenth it moves by at most 0.44 % of its size, and its end lies 0.019 mm from rest.
+    1 decay; in its last tenth it moves by at most 0.44 % of its size. Its end is 0.019 mm from rest.
     """
     return found("ssmr_torch.recording_checks.report:check")(data)
 

@@ -1,4 +1,4 @@
-"""What a callable takes by keyword where it hands keywords on: its signature shows the names and their defaults."""
+"""Decorator that shows in a function's signature the keywords that it passes on to another class or function."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from inspect import Parameter, signature
 
 
 def configurable(source=None, *, given: tuple[str, ...] = ()) -> Callable:
-    """Decorate a callable whose `**rest` goes to `source`: its signature names what `source` takes, with the defaults.
+    """Decorate a callable whose `**rest` goes to `source`: its signature then shows the keywords of `source` with their
+    defaults.
 
-    source: a class or function, whose own defaults hold; or an instance of a dataclass, whose values are the defaults.
-    given: parameters that a program gives, and no configuration (`ssmr_torch.configuration` reads both).
+    source: a class or function with its own defaults, or an instance of a dataclass, whose values are the defaults.
+    given: parameters that the program sets and no configuration does (`ssmr_torch.configuration` reads both).
     """
     def decorate(function):
         if source is not None:

@@ -1,4 +1,4 @@
-"""Names that are imported when they are asked for, so that a package which offers them costs nothing to import."""
+"""Lazy imports: a name of a package is imported only when it is used, so that importing the package is fast."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from ssmr_torch.extras import remedy
 
 
 def found(home: str):
-    """What "module:attribute" names, or "module:Class.attribute"; "module:" is the module itself.
+    """The object named by "module:attribute" or "module:Class.attribute"; "module:" is the module itself.
 
-    Raises ModuleNotFoundError, with the extra that brings it, where a package is missing.
+    Raises ModuleNotFoundError if a package is missing, and names the extra that installs it.
     """
     module, _, attribute = home.partition(":")
     try:
@@ -26,9 +26,10 @@ def found(home: str):
 
 
 def lazily(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of a package whose names live elsewhere; homes: of each name, as in `found`.
+    """`__getattr__` and `__dir__` for a package whose names are defined in other modules.
 
-    Raises AttributeError, with the names that exist, for others.
+    homes: the place of each name, in the form of `found`. Other names raise AttributeError, which lists the names that
+    exist.
     """
     def get(name: str):
         if name not in homes:

@@ -1,4 +1,4 @@
-"""Where a result came from."""
+"""Provenance of a result: version, commit, time, configuration, and hashes of files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def provenance(configuration: dict | None = None) -> dict:
 
 
 def fingerprint(path: str | Path) -> dict:
-    """Name and SHA-256 of a file, read in stretches."""
+    """Name and SHA-256 of a file, which is read piece by piece."""
     with open(path, "rb") as file:
         return {"file": Path(path).name, "sha256": hashlib.file_digest(file, "sha256").hexdigest()}
 

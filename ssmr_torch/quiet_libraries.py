@@ -1,4 +1,4 @@
-"""What others say that nobody asked for."""
+"""Silences log lines and warnings of libraries that do not concern the user."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ LIGHTNING = "lightning.pytorch.utilities.rank_zero"
 
 
 def quiet() -> None:
-    """Silence what Lightning says about absent hardware and its services, and deprecations inside it."""
+    """Silence Lightning's log lines about missing accelerators and its services, and deprecation warnings inside it."""
     logging.getLogger(LIGHTNING).setLevel(logging.WARNING)
     for message in (".*LeafSpec", ".*torch.jit.script", ".*does not have many workers", ".*Checkpoint directory"):
         warnings.filterwarnings("ignore", message)

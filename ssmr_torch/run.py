@@ -1,4 +1,4 @@
-"""One uninterrupted, uniformly sampled run of a robot: a seam (a restart, a glued recording) is never inside."""
+"""`Trajectory`: one uninterrupted, uniformly sampled run of a robot, without a seam (restart or joined recording)."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ssmr_torch.data_sheet import DataSheet
 KINDS = ("decay", "controlled", "static")
 SPLITS = ("train", "validation", "test")
 JITTER_TOLERANCE = 1e-3
-STRETCH = 65536  # samples that are read at once
+STRETCH = 65536  # number of samples that are read at once
 
 
 class Run(DataSheet):
-    """What trajectories in memory and in a file have in common."""
+    """Base class of trajectories in memory and trajectories in a file."""
 
     def extremes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest values of the observation (2, p), m, and of the input (2, m); read in stretches."""
+        """Lowest and highest values of the observation (2, p), m, and of the input (2, m); read piece by piece."""
         parts = [self.slice(start, min(start + STRETCH, self.length)) for start in range(0, self.length, STRETCH)]
         return tuple(np.stack([np.min([part[which].min(0) for part in parts], axis=0),
                                np.max([part[which].max(0) for part in parts], axis=0)]) for which in (0, 1))
@@ -84,18 +84,18 @@ class Trajectory(Run):
         return self
 
     def observing(self, columns: Sequence[int]) -> Trajectory:
-        """The same run seen through these columns of the observation."""
+        """The same run with only these columns of the observation."""
         return replace(self, observation=self.observation[:, list(columns)])
 
     def part(self, start: int, stop: int | None = None, **changes) -> Trajectory:
-        """The samples start ≤ k < stop as a trajectory of their own, with other fields changed by name."""
+        """The samples start ≤ k < stop as a separate trajectory, with other fields changed by name."""
         kept = slice(start, stop)
         return replace(self, time=self.time[kept], observation=self.observation[kept], input=self.input[kept],
                        **changes)
 
 
 def own_copy(array) -> np.ndarray:
-    """A read-only copy: what the caller does with the original later changes nothing here."""
+    """A read-only copy, which later changes of the original do not affect."""
     copy = np.array(array, dtype=np.float64)
     copy.setflags(write=False)
     return copy
@@ -109,9 +109,9 @@ def _validate(trajectory: Trajectory) -> None:
                          f"got {time.shape}, {observation.shape}, {inputs.shape}")
     if not len(time) == len(observation) == len(inputs):
         raise ValueError(f"{name}: {len(time)} times, {len(observation)} observations and {len(inputs)} inputs; "
-                         "the three must be equally many")
+                         "expected the same number of all three")
     if len(time) < 2:
-        raise ValueError(f"{name}: {len(time)} samples; at least 2 are needed")
+        raise ValueError(f"{name}: {len(time)} samples; expected at least 2")
     if trajectory.kind not in KINDS or trajectory.split not in SPLITS:
         raise ValueError(f"{name}: kind {trajectory.kind!r} and split {trajectory.split!r}; "
                          f"expected one of {KINDS} and one of {SPLITS}")
@@ -119,12 +119,12 @@ def _validate(trajectory: Trajectory) -> None:
         bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
         if len(bad):
             raise ValueError(f"{name}: {len(bad)} of {len(array)} samples of {label} are not finite, "
-                             f"the first is sample {bad[0]}; drop or repair them")
+                             f"the first one is sample {bad[0]}; remove or repair them")
     steps = np.diff(time)
     if (steps <= 0).any():
         raise ValueError(f"{name}: time does not increase at sample {int(np.argmax(steps <= 0)) + 1}")
     jitter = np.abs(steps / trajectory.timestep - 1).max()
     if jitter > JITTER_TOLERANCE:
         raise ValueError(f"{name}: the sampling interval deviates by up to {100 * jitter:.3g} % from "
-                         f"{trajectory.timestep:.6g} s, more than {100 * JITTER_TOLERANCE:g} %; "
-                         "resample onto a uniform grid first")
+                         f"{trajectory.timestep:.6g} s, more than the permitted {100 * JITTER_TOLERANCE:g} %; "
+                         "resample the run to a uniform grid first")

@@ -1,4 +1,4 @@
-"""The former place of `ssmr_torch.wire.runner`, which says so; to be removed with the next version."""
+"""Former place of `ssmr_torch.wire.runner`: it names the new place. It will be removed with the next version."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Settings objects: frozen, checked once, changed by name; and the checks that they share."""
+"""`Settings`: base class of all settings objects, and the checks of numbers that they share."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ssmr_torch.data_sheet import DataSheet
 
 
 class Settings(DataSheet):
-    """Base of frozen dataclasses that hold the settings of one thing, checked in `__post_init__`."""
+    """Base class of frozen dataclasses of settings, which are checked in `__post_init__`."""
 
     def data_sheet(self) -> tuple[str, dict]:
         """Every setting with its value."""
         return type(self).__name__, {field.name: str(getattr(self, field.name)) for field in fields(self)}
 
     def changed(self, **changes) -> Self:
-        """The same settings but for these. Raises TypeError for a name that is none of them, with the nearest one."""
+        """A copy with these settings changed. Raises TypeError for an unknown name and names the nearest one."""
         refuse_unknown(type(self).__name__, changes, [field.name for field in fields(self)])
         return replace(self, **changes)
 
@@ -30,11 +30,11 @@ class Settings(DataSheet):
 
 
 def refuse_unknown(whose: str, given: Iterable[str], known: list[str]) -> None:
-    """Raises TypeError for the first name that is not known, with the nearest one that is."""
+    """Raises TypeError for the first unknown name, and names the nearest known one."""
     for name in given:
         if name not in known:
             near = get_close_matches(name, known, n=1, cutoff=0.0)[0]
-            raise TypeError(f"{whose} has no {name}; did you mean {near}? There are {', '.join(known)}")
+            raise TypeError(f"{whose} has no {name}; did you mean {near}? Possible names are {', '.join(known)}")
 
 
 def whole(name: str, value, *, least: int) -> int:
@@ -47,7 +47,7 @@ def whole(name: str, value, *, least: int) -> int:
 def positive(name: str, value, unit: str = "") -> float:
     """Raises ValueError unless value is a positive and finite number."""
     if not (_is_number(value) and 0 < value < np.inf):
-        raise ValueError(f"{name} is {_shown(value, unit)}; expected a positive, finite number")
+        raise ValueError(f"{name} is {_shown(value, unit)}; expected a positive and finite number")
     return float(value)
 
 
@@ -66,7 +66,7 @@ def at_least(name: str, value, least: float, unit: str = "") -> float:
 
 
 def positive_or_none(name: str, value, unit: str = "") -> float | tuple[float, ...] | None:
-    """One positive, finite number or a tuple of them, one per input; None as it is. Raises ValueError for others."""
+    """One positive and finite number, a tuple of them (one per input), or None. Raises ValueError for other values."""
     if value is None or np.ndim(value) == 0:
         return None if value is None else positive(name, value if _is_number(value) else np.asarray(value)[()], unit)
     return tuple(positive(f"{name}[{i}]", each, unit) for i, each in enumerate(np.asarray(value).tolist()))

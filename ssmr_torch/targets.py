@@ -1,4 +1,4 @@
-"""Objects as JSON: a `_target_` names the class or function, beside it stand its arguments."""
+"""Objects as JSON and back: `_target_` names a class or function, the other keys are its arguments."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ ROOMS = ("ssmr_torch.control.", "ssmr_torch.tasks.")
 
 
 def build(settings: dict, *arguments, packages: Sequence[str] = (), **more):
-    """Call what `_target_` names with its arguments and these.
+    """Call the class or function that `_target_` names, with the arguments in the settings and those given here.
 
-    packages: whose contents the settings may name beside control and tasks; a file must not decide which code runs.
-    Raises ValueError for a target or a solver elsewhere, for one that is not there, and for unknown arguments.
+    packages: further packages whose contents the settings may name, in addition to control and tasks. The limit exists
+    because a file must not decide which code runs.
+    Raises ValueError for a target or solver in another package, for one that does not exist, and for unknown arguments.
     """
     target = settings.get("_target_") if isinstance(settings, dict) else None
     _refuse_elsewhere("_target_", target, packages)
@@ -30,23 +31,23 @@ def build(settings: dict, *arguments, packages: Sequence[str] = (), **more):
     try:
         function = getattr(import_module(module), name)
     except (ModuleNotFoundError, AttributeError) as error:
-        raise ValueError(f"cannot have {target}: {error}") from error
+        raise ValueError(f"cannot load {target}: {error}") from error
     given = {key: _built(value, packages) for key, value in settings.items() if not key.startswith("_")}
     try:
         return function(*arguments, **given, **more)
     except TypeError as error:
-        raise ValueError(f"{target} does not take {given}: {error}") from error
+        raise ValueError(f"{target} does not accept the arguments {given}: {error}") from error
 
 
 def _refuse_elsewhere(what: str, target, packages: Sequence[str]) -> None:
     rooms = (*ROOMS, *(f"{package}." for package in packages))
     if not isinstance(target, str) or not target.startswith(rooms):
-        raise ValueError(f"the settings name {target!r} as {what}; expected something in {' or '.join(rooms)}, or in a "
-                         "package that --package names")
+        raise ValueError(f"the settings name {target!r} as {what}; expected a class or function in "
+                         f"{' or '.join(rooms)}, or in a package that --package names")
 
 
 def _built(value, packages: Sequence[str]):
-    """Settings within settings: an observer, which the controller itself completes, or obstacles."""
+    """Build nested settings: an observer, to which the controller adds arguments later, or obstacles."""
     if isinstance(value, list):
         return [_built(part, packages) for part in value]
     if not (isinstance(value, dict) and "_target_" in value):
@@ -56,10 +57,10 @@ def _built(value, packages: Sequence[str]):
 
 
 def written(value, what: str = "the value"):
-    """A value as JSON that `build` makes it of again, to the last bit; an infinite number as text.
+    """A value as JSON, from which `build` makes exactly the same value again. An infinite number becomes text.
 
-    Dataclasses, partial objects and classes are named by `_target_`, arrays and tuples are lists.
-    Raises ValueError, with where in `what` it stands, for a NaN and for what has no name: a lambda, a function made
+    Dataclasses, partial objects and classes are named by `_target_`; arrays and tuples become lists.
+    Raises ValueError, with the position in `what`, for NaN and for objects without a name: a lambda, a function defined
     inside another one, a class outside of `ROOMS`.
     """
     if isinstance(value, (np.ndarray, np.generic)):
@@ -68,14 +69,14 @@ def written(value, what: str = "the value"):
         return value
     if isinstance(value, float):
         if isnan(value):
-            raise ValueError(f"{what} is not a number; expected one that is")
+            raise ValueError(f"{what} is NaN (not a number); expected a number")
         return value if isfinite(value) else str(value)
     if isinstance(value, (list, tuple)):
         return [written(part, f"{what}[{k}]") for k, part in enumerate(value)]
     if isinstance(value, Mapping):
         return {str(key): written(part, f"{what}.{key}") for key, part in value.items()}
     if isinstance(value, partial) and value.func is build and value.args:
-        return value.args[0]  # what it was built of
+        return value.args[0]  # the text from which it was built
     if isinstance(value, partial) and not value.args:
         return {"_target_": _named(value.func, what), "_partial_": True, **written(value.keywords, what)}
     if is_dataclass(value) and not isinstance(value, type):
@@ -87,6 +88,6 @@ def written(value, what: str = "the value"):
 def _named(thing, what: str) -> str:
     name = f"{getattr(thing, '__module__', None)}.{getattr(thing, '__qualname__', '<locals>')}"
     if "<" in name or not name.startswith(ROOMS):
-        raise ValueError(f"{what} is {thing!r}, which a file cannot name; expected numbers, texts, or something at the "
-                         f"top of a module in {' or '.join(ROOMS)}")
+        raise ValueError(f"{what} is {thing!r}, which cannot be written to a file; expected numbers, texts, or a class "
+                         f"or function at the top level of a module in {' or '.join(ROOMS)}")
     return name

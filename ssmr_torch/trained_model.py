@@ -1,4 +1,4 @@
-"""A fitted model with what is known of its data: what `fit` gives, what an artifact holds, what predicts."""
+"""`TrainedModel`: a fitted model with the names, units and ranges of its data; the result of `fit` and `load`."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from ssmr_torch.evaluation.predictors import as_predictor, at_every_sample
 from ssmr_torch.models.base import Model
 from ssmr_torch.periods import whole_multiple
 
-OUTSIDE = 0.25  # of the range of the training, by which a prediction may leave it without a word
+OUTSIDE = 0.25  # a prediction may leave the training range by this share of the range without a warning
 
 
 class OutsideTraining(UserWarning):
-    """A prediction that leaves what the training explains."""
+    """Warning: a prediction leaves the range of the training data."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrainedModel(DataSheet):
-    """z = v(window), z⁺ = f(z, u), y = w(z), with the names, units and ranges of the data behind it.
+    """z = v(window), z⁺ = f(z, u), y = w(z), with the names, units and ranges of the training data.
 
-    reduced: the model as plain arrays, what controllers take. card: plain values: name, output_names, input_names,
+    reduced: the model as plain arrays, which controllers take. card: plain values: name, output_names, input_names,
     input_unit, rest (p,) m, input_range (2, m), sampling_time s, scores, cost, provenance. module: the torch.nn.Module
-    that was fitted, None of an artifact. report: what determined each fit, empty of an artifact. designed: the
-    controller that an artifact of `ssmr design` carries, as JSON; None without one, see `controller`.
+    that was fitted; None for an artifact. report: the report of each fit; empty for an artifact. designed: the
+    controller in an artifact of `ssmr design`, as JSON; None if there is none, see `controller`.
 
-    `ssmr_torch.fit` and `ssmr_torch.load` give one; see `predict`, `save` and `export`.
+    `ssmr_torch.fit` and `ssmr_torch.load` return it; see `predict`, `save` and `export`.
 
-    >>> model                                                                                      # of an oscillator
+    >>> model                                                                            # a model of an oscillator
     TrainedModel DMD: 6 states, 1 inputs, 2 outputs
     ├─ outputs: x, v; displacement from rest, m
     ├─ inputs: range of the training
@@ -61,7 +61,7 @@ class TrainedModel(DataSheet):
 
     @classmethod
     def load(cls, folder: str | Path) -> TrainedModel:
-        """The model of an artifact. Raises what `artifact.load` raises."""
+        """The model of an artifact. Raises the errors of `artifact.load`."""
         loaded = artifact.load(folder)
         return cls(loaded.model, {"input_unit": loaded.card["units"]["input"], **loaded.card}, designed=loaded.designed)
 
@@ -84,22 +84,24 @@ class TrainedModel(DataSheet):
 
     @property
     def rest(self) -> np.ndarray:
-        """(p,) absolute position that outputs are displacements from, m."""
+        """(p,), m, the absolute position from which the outputs are displacements."""
         return np.array(self.card["rest"], dtype=np.float64)
 
     @property
     def input_range(self) -> np.ndarray:
-        """(2, m) lowest and highest input of the training."""
+        """(2, m), lowest and highest input in the training data."""
         return np.array(self.card["input_range"], dtype=np.float64)
 
     @property
     def scores(self) -> dict[str, float]:
-        """Open-loop errors of the validation and test runs at the fit, m, by name; infinite where one diverged."""
+        """Open-loop errors on the validation and test runs at the time of the fit, m, by name; infinite if a rollout
+        diverged.
+        """
         return _finite(self.card.get("scores"))
 
     @property
     def delays(self) -> int:
-        """Samples in a window beside the newest one."""
+        """Number of samples in a window before the newest one."""
         return self.reduced.delays
 
     @property
@@ -114,27 +116,27 @@ class TrainedModel(DataSheet):
 
     @property
     def sampling_time(self) -> float:
-        """Sampling time of the recordings, s; of an artifact that does not tell, the window's."""
+        """Sampling time of the recordings, s; for an artifact that does not state it, that of the window."""
         return float(self.card.get("sampling_time") or self.window_timestep)
 
     def predict(self, window, inputs, past_inputs=None) -> np.ndarray:
         """Outputs at the next H instants of the recording's sampling:  y_k = w(f(… f(v(window), u_0) …, u_{k-1})).
 
         window (…, delays + 1, p): measured displacements from rest, m, newest last, `window_timestep` s apart.
-        inputs (…, H, m): held one `sampling_time` each, from the newest sample on. past_inputs (…, delays, m): those
-        held between the samples of the window; only models whose chart sees them need them. Leading dimensions are
-        broadcast. Returns (…, H, p), m, infinite from where the model leaves its range.
+        inputs (…, H, m): each held for one `sampling_time`, beginning at the newest sample. past_inputs (…, delays, m):
+        the inputs held between the samples of the window; only models whose chart uses them need them. Leading
+        dimensions are broadcast. Returns (…, H, p), m, infinite from the step at which the prediction diverged.
 
-        Where inputs or outputs leave what the training held by more than a quarter of its range, a warning says which
-        and how far: the prediction is then a guess, though a bounded one.
-        The model steps by the sampling time where it can. One that is coarser, fitted at a multiple of it, sees the
-        mean of the inputs over each of its steps (the last one held to the end), and its outputs are interpolated
-        linearly in between.
+        If inputs or outputs leave the training range by more than a quarter of it, a warning says which and how far.
+        The prediction is then not reliable.
+        The model steps by the sampling time if it can. A model that was fitted at a multiple of it takes the mean of
+        the inputs over each of its steps (the last input is held to the end), and its outputs are interpolated linearly
+        in between.
         Raises ValueError for arrays of another shape, numbers that are not finite, and missing past_inputs.
         """
         window, inputs, past = self._arguments(window, inputs, past_inputs)
         leading, horizon = inputs.shape[:-2], inputs.shape[-2]
-        count = int(np.prod(leading))  # without delays there are no past inputs, whose size tells nothing
+        count = int(np.prod(leading))  # without delays the size of past_inputs is 0 and cannot be used here
         window, inputs, past = (array.reshape(count, *array.shape[-2:]) for array in (window, inputs, past))
         model, stride = self._at_sampling_time
         outputs = at_every_sample(as_predictor(model), stride).predict(window, past, inputs)
@@ -143,7 +145,8 @@ class TrainedModel(DataSheet):
         return outputs.reshape(*leading, horizon, -1)
 
     def _warn_outside(self, what: str, values: np.ndarray, names, seen, factor: float, unit: str) -> None:
-        """Say, once a call, what leaves the range of the training farthest, where it does by more than `OUTSIDE`."""
+        """Warn, once per call, about the quantity that leaves the training range most, if it is by more than `OUTSIDE`.
+        """
         if seen is None or not values.size:
             return
         lowest, highest = np.array(seen, dtype=np.float64)
@@ -152,14 +155,15 @@ class TrainedModel(DataSheet):
         beyond = np.maximum((lowest - flat.min(0)) / span, (flat.max(0) - highest) / span)
         worst = int(np.argmax(beyond))
         if beyond[worst] > OUTSIDE:
-            warnings.warn(f"{what} leave the range of the training: {names[worst]} goes from "
-                          f"{factor * flat[:, worst].min():.3g} to {factor * flat[:, worst].max():.3g} {unit}, the "
-                          f"training from {factor * lowest[worst]:.3g} to {factor * highest[worst]:.3g}; do not trust "
-                          "this prediction, or train on recordings that go as far", OutsideTraining, stacklevel=3)
+            warnings.warn(f"{what} leave the training range: {names[worst]} is between "
+                          f"{factor * flat[:, worst].min():.3g} and {factor * flat[:, worst].max():.3g} {unit}, in the "
+                          f"training between {factor * lowest[worst]:.3g} and {factor * highest[worst]:.3g}. This "
+                          "prediction is not reliable; train on recordings with this range", OutsideTraining,
+                          stacklevel=3)
 
     @cached_property
     def _at_sampling_time(self) -> tuple[Model, int]:
-        """The model that steps by the sampling time, and 1; or as it is, and how many samples one of its steps covers.
+        """The model with steps of the sampling time, and 1; or the unchanged model, and the number of samples per step.
         """
         if abs(self.timestep / self.sampling_time - 1.0) <= 1e-6:
             return self.reduced, 1
@@ -167,16 +171,16 @@ class TrainedModel(DataSheet):
             return self.reduced.at_timestep(self.sampling_time), 1
         except ValueError:
             return self.reduced, whole_multiple("the model's timestep", self.timestep, "the recording's sampling time",
-                                                self.sampling_time, "fit it at a multiple")
+                                                self.sampling_time, "fit the model at a multiple of it")
 
     def _arguments(self, window, inputs, past_inputs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """All three as (…, rows, columns) with the same leading dimensions."""
         delays, p, m = self.delays, self.reduced.output_dim, self.reduced.input_dim
         if past_inputs is None:
             if self.reduced.takes_past_inputs and delays:
-                raise ValueError(f"the chart of this model sees the inputs held between the {delays + 1} samples of a "
-                                 f"window; give past_inputs (…, {delays}, {m}), oldest first, zeros where the robot "
-                                 "was at rest")
+                raise ValueError(f"the chart of this model needs the inputs held between the {delays + 1} samples of a "
+                                 f"window; give past_inputs (…, {delays}, {m}), oldest first, with zeros while the "
+                                 "robot was at rest")
             past_inputs = np.zeros((delays, m))
         apart = f"{self.window_timestep:g} s apart, newest last"
         found = [
@@ -187,39 +191,42 @@ class TrainedModel(DataSheet):
         try:
             leading = np.broadcast_shapes(*batches)
         except ValueError as error:
-            raise ValueError(f"window, inputs and past_inputs are batches of {batches}, which do not fit; expected "
-                             "equal leading shapes, or none to share one") from error
+            raise ValueError(f"window, inputs and past_inputs have the leading shapes {batches}, which do not fit "
+                             "together; expected equal leading shapes, or an array without one") from error
         return tuple(np.broadcast_to(array, leading + array.shape[-2:]) for array in found)
 
     def controller(self, task=None, bounds=None, **changes):
-        """The `DesignedController` that the artifact carries, which commands what the design's own would, bit by bit.
+        """The `DesignedController` in the artifact. Its commands are identical to those of the controller of the
+        design.
 
-        task: one that tracks the same outputs; None: that of the design.   bounds: (2, m), of the robot, within which
-        the commands stay as well; None: those of the design.   changes: of the settings, by name.
-        Raises ValueError, saying what to run, for an artifact without one, and for a task of other outputs.
+        task: a task that tracks the same outputs; None: that of the design.   bounds: (2, m), further bounds of the
+        robot for the commands; None: only those of the design.   changes: settings by name.
+        Raises ValueError for an artifact without a controller, with the command to run, and for a task with other
+        outputs.
         """
         from ssmr_torch.control.designed import designed_controller
 
         return designed_controller(self, task, bounds, **changes)
 
     def save(self, folder: str | Path) -> Path:
-        """Write the artifact that runs on a robot, whole or not at all; one already there is replaced.
+        """Write the artifact, which can run on a robot, completely or not at all. An artifact already there is
+        replaced.
 
-        Raises ValueError where the folder holds other files.
+        Raises ValueError if the folder contains other files.
         """
         return self._save(folder)
 
     def export(self, folder: str | Path, *formats: str) -> list:
-        """Write the artifact with deployable forms of it, each checked against the model; returns what was written.
+        """Write the artifact and programs of it, each checked against the model. Returns what was written.
 
-        formats: "c" (C99), "onnx", "torch" (torch.export), "casadi". They lie in the folder's subfolder `deployed`.
-        Raises ValueError for a format that does not exist or that the model has not, one whose packages are missing,
-        and a folder that holds other files; then nothing is written.
+        formats: "c" (C99), "onnx", "torch" (torch.export), "casadi"; they are written into the subfolder `deployed`.
+        Raises ValueError for an unknown format, for one that this model does not support, for one whose packages are
+        missing, and for a folder with other files. In all these cases nothing is written.
         """
         from ssmr_torch.deployment.deploy import deploy
 
         if not formats or not all(isinstance(format, str) for format in formats):
-            raise ValueError('no formats were given, or not by name; expected some of them, such as '
+            raise ValueError('no formats were given by name; expected one or more, for example '
                              'export(folder, "c", "onnx")')
         forms: list = []
         self._save(folder, complete=lambda aside: forms.extend(deploy(aside, formats)))
@@ -259,7 +266,8 @@ class TrainedModel(DataSheet):
 
 
 def _array(what: str, given, rows: int | None, columns: int, meaning: str) -> np.ndarray:
-    """(…, rows, columns), rows None for any number but none. Raises ValueError for other shapes, or not finite numbers.
+    """An array (…, rows, columns); rows None means any number above 0. Raises ValueError for another shape, or for
+    numbers that are not finite.
     """
     array = np.asarray(given, dtype=np.float64)
     fits = array.ndim >= 2 and array.shape[-1] == columns and array.shape[-2] == (rows if rows is not None
@@ -268,10 +276,10 @@ def _array(what: str, given, rows: int | None, columns: int, meaning: str) -> np
         raise ValueError(f"{what} has shape {array.shape}; expected (…, {'H' if rows is None else rows}, {columns}): "
                          f"{meaning}")
     if not np.isfinite(array).all():
-        raise ValueError(f"{what} holds numbers that are not finite; predict from samples that were measured")
+        raise ValueError(f"{what} contains numbers that are not finite; predict only from complete measurements")
     return array
 
 
 def _finite(scores: Mapping | None) -> dict[str, float]:
-    """Scores as `artifact.save` takes them: what is unknown was infinite."""
+    """Scores in the form that `artifact.save` takes: None becomes infinite."""
     return {name: np.inf if value is None else value for name, value in (scores or {}).items()}

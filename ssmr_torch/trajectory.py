@@ -1,4 +1,4 @@
-"""The measured or simulated trajectories of one robot, and their file."""
+"""`TrajectoryDataset`: the measured or simulated trajectories of one robot, in memory or in an HDF5 file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FORMAT = "ssmr_torch trajectories 1"
 
 @dataclass(frozen=True)
 class StoredTrajectory(Run):
-    """A trajectory in an HDF5 file, read slice by slice: memory does not grow with its length."""
+    """A trajectory in an HDF5 file that is read slice by slice, so that memory does not grow with its length."""
 
     path: Path
     key: str
@@ -44,7 +44,7 @@ class StoredTrajectory(Run):
         return self._observed(group["observation"][rows]), group["input"][rows]
 
     def observing(self, columns: Sequence[int]) -> StoredTrajectory:
-        """The same run seen through these columns of the observation."""
+        """The same run with only these columns of the observation."""
         available = range(self.slice(0, 1)[0].shape[1]) if self.columns is None else self.columns
         return replace(self, columns=tuple(available[column] for column in columns))
 
@@ -52,10 +52,10 @@ class StoredTrajectory(Run):
         return observation if self.columns is None else observation[:, list(self.columns)]
 
     def part(self, start: int, stop: int | None = None, **changes) -> StoredTrajectory:
-        """The samples start ≤ k < stop as a trajectory of their own, with other fields changed by name."""
+        """The samples start ≤ k < stop as a separate trajectory, with other fields changed by name."""
         start, stop, _ = slice(start, stop).indices(self.length)
         if stop - start < 2:
-            raise ValueError(f"{self.name or 'trajectory'}: {max(stop - start, 0)} samples; at least 2 are needed")
+            raise ValueError(f"{self.name or 'trajectory'}: {max(stop - start, 0)} samples; expected at least 2")
         return replace(self, first=self.first + start, length=stop - start, **changes)
 
     def read(self) -> Trajectory:
@@ -67,7 +67,7 @@ class StoredTrajectory(Run):
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryDataset(DataSheet, Sequence):
-    """Trajectories of one robot, with what is needed to read them.
+    """Trajectories of one robot, with the names, units and rest position of their data.
 
     rest: (p,) absolute position of the origin of `observation`, m.
     output_names, input_names: one label per column. input_unit: "N", or "1" for normalized commands.
@@ -100,11 +100,11 @@ class TrajectoryDataset(DataSheet, Sequence):
         object.__setattr__(self, "output_names", tuple(self.output_names))
         object.__setattr__(self, "input_names", tuple(self.input_names))
         if not self.trajectories:
-            raise ValueError("the dataset holds no trajectory; at least one is needed")
+            raise ValueError("the dataset contains no trajectory; expected at least one")
         for what, names in (("outputs", self.output_names), ("inputs", self.input_names)):
             twice = sorted({name for name in names if names.count(name) > 1})
             if twice:
-                raise ValueError(f"two {what} are named {twice[0]!r}; give each a name of its own")
+                raise ValueError(f"two {what} are named {twice[0]!r}; give each a different name")
         if self.rest.shape != (self.output_dim,):
             raise ValueError(f"rest has shape {self.rest.shape}, but there are {self.output_dim} output names")
         for trajectory in self.trajectories:
@@ -113,8 +113,8 @@ class TrajectoryDataset(DataSheet, Sequence):
                 raise ValueError(f"trajectory {trajectory.name!r} has {columns[0]} outputs and {columns[1]} inputs; "
                                  f"the dataset declares {self.output_dim} and {self.input_dim}")
             if abs(trajectory.timestep / self.trajectories[0].timestep - 1) > JITTER_TOLERANCE:
-                raise ValueError(f"trajectory {trajectory.name!r} is sampled every {trajectory.timestep:.6g} s, the "
-                                 f"first one every {self.trajectories[0].timestep:.6g} s; resample them alike")
+                raise ValueError(f"trajectory {trajectory.name!r} is sampled every {trajectory.timestep:.6g} s, but the "
+                                 f"first one every {self.trajectories[0].timestep:.6g} s; resample them to one time")
 
     def __len__(self) -> int:
         return len(self.trajectories)
@@ -142,20 +142,20 @@ class TrajectoryDataset(DataSheet, Sequence):
         """
         for what, asked, known in (("split", split, SPLITS), ("kind", kind, KINDS)):
             if asked is not None and asked not in known:
-                raise ValueError(f"no {what} {asked!r}; expected one of {known}, or None for all")
+                raise ValueError(f"there is no {what} {asked!r}; expected one of {known}, or None for all")
         return tuple(t for t in self.trajectories
                      if (split is None or t.split == split) and (kind is None or t.kind == kind))
 
     def columns(self, names: Sequence[str] | None = None) -> list[int]:
-        """Positions of these outputs, of all where none are named. Raises ValueError for an unknown name."""
+        """Column numbers of these outputs, or of all outputs for None. Raises ValueError for an unknown name."""
         names = (names,) if isinstance(names, str) else names
         unknown = [name for name in names or () if name not in self.output_names]
         if unknown:
-            raise ValueError(f"no outputs {unknown}; the dataset has {list(self.output_names)}")
+            raise ValueError(f"there are no outputs {unknown}; the dataset has {list(self.output_names)}")
         return [self.output_names.index(name) for name in (self.output_names if names is None else names)]
 
     def observing(self, names: Sequence[str] | None) -> TrajectoryDataset:
-        """The same runs seen through these outputs only, in this order; all of them where none are named."""
+        """The same runs with only these outputs, in this order; None: all outputs."""
         names = (names,) if isinstance(names, str) else names
         if names is None or tuple(names) == self.output_names:
             return self
@@ -164,7 +164,7 @@ class TrajectoryDataset(DataSheet, Sequence):
                        rest=self.rest[columns], output_names=tuple(names))
 
     def extremes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest values of all runs: of the outputs (2, p), m, and of the inputs (2, m)."""
+        """Lowest and highest values over all runs: outputs (2, p), m, and inputs (2, m)."""
         found = zip(*(run.extremes() for run in self.trajectories))
         return tuple(np.stack([np.min([each[0] for each in of_runs], axis=0),
                                np.max([each[1] for each in of_runs], axis=0)]) for of_runs in map(list, found))
@@ -213,16 +213,16 @@ class TrajectoryDataset(DataSheet, Sequence):
         """
         path = Path(path).resolve()
         if not path.is_file():
-            raise FileNotFoundError(f"no trajectory file at {path}; make one with ssmr collect")
+            raise FileNotFoundError(f"there is no trajectory file at {path}; make one with ssmr collect")
         if not h5py.is_hdf5(path):
             raise ValueError(f"{path} is not an HDF5 file; expected one written by ssmr collect")
         with h5py.File(path, "r") as file:
             if "card" not in file.attrs or "trajectories" not in file:
-                raise ValueError(f"{path} is not a trajectory file of this package (no card); "
-                                 "read foreign HDF5 with a card: data=custom data.card=FILE.yaml")
+                raise ValueError(f"{path} is not a trajectory file of this package; read other HDF5 files with a "
+                                 "recording card: data=custom data.card=FILE.yaml")
             card = json.loads(file.attrs["card"])
             if card.get("format") != FORMAT:
-                raise ValueError(f"{path} is of format {card.get('format')!r}; this version reads {FORMAT!r}")
+                raise ValueError(f"{path} has the format {card.get('format')!r}; this version reads {FORMAT!r}")
             stored = tuple(
                 StoredTrajectory(path, f"trajectories/{key}", group.attrs["kind"], group.attrs["split"],
                                  group.attrs["name"], len(group["time"]), float(group.attrs["timestep"]))
@@ -233,7 +233,7 @@ class TrajectoryDataset(DataSheet, Sequence):
 
 
 def format_of(path: str | Path) -> str:
-    """What the card of an HDF5 file says that it is; empty for a file of another kind."""
+    """The format that an HDF5 file names in its attribute "card"; empty for a file of another kind."""
     if not h5py.is_hdf5(path):
         return ""
     with h5py.File(path, "r") as file:
@@ -245,7 +245,7 @@ def _counted(lengths: Sequence[int]) -> str:
 
 
 def _opened(path: Path) -> h5py.File:
-    """The file, kept open for reading: opening takes fifty times as long as reading a window."""
+    """The file, which stays open for reading, because opening takes fifty times longer than reading a window."""
     status = os.stat(path)
     return _open_once(path, status.st_ino, status.st_mtime_ns, os.getpid())
 

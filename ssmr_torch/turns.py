@@ -1,4 +1,4 @@
-"""Symmetries of a robot as turns: isometries of its outputs with a permutation of its inputs, y(P u) = T y(u)."""
+"""Symmetries of a robot (turns): isometries of its outputs with a permutation of its inputs, y(P u) = T y(u)."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MOST = 24        # turns of a group
+MOST = 24        # largest number of turns in a group
 SAME = 1e-6
 STATED = ("angle", "axis", "inputs")
 
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """outputs T (p, p) orthogonal, inputs P (m, m) a permutation, with signs where inputs have; name: in words."""
+    """outputs: T (p, p), orthogonal. inputs: P (m, m), a permutation, which may change signs. name: a short text."""
 
     outputs: np.ndarray
     inputs: np.ndarray
     name: str = ""
 
     def of(self, run: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """The run (y (T, p), u (T, m)) that follows from one by symmetry."""
+        """The run (y (T, p), u (T, m)) that follows from a run by the symmetry."""
         return run[0] @ self.outputs.T, run[1] @ self.inputs.T
 
     def after(self, other: Turn) -> Turn:
-        """This one after another."""
+        """The turn that does the other first and then this one."""
         return Turn(self.outputs @ other.outputs, self.inputs @ other.inputs)
 
     def same(self, other: Turn) -> bool:
@@ -42,16 +42,16 @@ class Turn:
 
     @property
     def isometry(self) -> np.ndarray:
-        """What happens to every marker, (3, 3) or (2, 2)."""
+        """The isometry of every marker, (3, 3) or (2, 2)."""
         size = marker_size(len(self.outputs))
         return self.outputs[:, :size].reshape(-1, size, size).sum(0)
 
     def moved(self) -> np.ndarray:
-        """For every input the number of the one that does for the turned robot what it does, (m,)."""
+        """(m,), for every input, the number of the input that has the same effect on the turned robot."""
         return np.abs(self.inputs).argmax(0)
 
     def renumbering(self, names: Sequence[str]) -> str:
-        """The same by name, in cycles, "a → b → −a, c ↔ d"; what stays in its place is left out."""
+        """The permutation of the inputs as cycles of names, "a → b → −a, c ↔ d"; inputs that stay are left out."""
         cycles, to, left = [], self.moved(), list(range(len(names)))
         while left:
             first = k = left[0]
@@ -69,8 +69,8 @@ class Turn:
 
 
 def closed(turns: Sequence[Turn]) -> list[Turn] | None:
-    """All turns that follow from these but the identity; None where these are no group of one permutation for each
-    isometry, or of more than `MOST`.
+    """All turns that follow from these, without the identity. None if they form no group with one permutation for each
+    isometry, or a group of more than `MOST` turns.
     """
     start = Turn(np.eye(len(turns[0].outputs)), np.eye(len(turns[0].inputs)))
     group, fresh = [start], [start]
@@ -89,7 +89,9 @@ def closed(turns: Sequence[Turn]) -> list[Turn] | None:
 
 
 def rotation(angle: float, axis: Sequence[float]) -> np.ndarray:
-    """Rotation by an angle (degrees) about an axis (3,), right-handed; in the plane for an axis (2,) of any value."""
+    """Rotation matrix for an angle in degrees about an axis (3,), right-handed. An axis (2,) of any value gives the
+    rotation in the plane.
+    """
     c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
     if len(axis) == 2:
         return np.array([[c, -s], [s, c]])
@@ -104,23 +106,22 @@ def mirror(normal: Sequence[float]) -> np.ndarray:
 
 
 def on_markers(isometry: np.ndarray, places: Sequence[int]) -> np.ndarray:
-    """T (p, p): the isometry (3, 3) or (2, 2) of every marker, marker i going to places[i]."""
+    """T (p, p): the isometry (3, 3) or (2, 2) of every marker; marker i moves to places[i]."""
     return np.kron(np.eye(len(places))[:, list(places)], isometry)
 
 
 def marker_size(outputs: int) -> int:
-    """Coordinates of a marker where so many outputs are markers of 3 or else 2; 0 where they are not."""
+    """Number of coordinates per marker if this many outputs are markers: 3, otherwise 2; 0 if they are not markers."""
     return 3 if outputs % 3 == 0 else 2 if outputs % 2 == 0 else 0
 
 
 def stated(statement: Mapping, input_names: Sequence[str], outputs: int) -> Turn:
-    """The turn that a user states: angle (degrees) about axis, inputs: for each input the one that does for the turned
-    robot what it does, by name, with "-" before it where the sign changes, as in
-
+    """The turn that a user states by angle (degrees), axis and inputs. inputs: for each input, the name of the input
+    that has the same effect on the turned robot, with "-" before the name if the sign changes, as in
         {"angle": 90, "axis": [0, 0, 1], "inputs": ["cable2", "cable3", "cable4", "cable1"]}
 
-    Every marker is turned; axis is left out where markers have two coordinates.
-    Raises ValueError for keys, names and numbers that make no sense, and a turn that does not close.
+    Every marker is turned. Leave axis out if markers have two coordinates.
+    Raises ValueError for invalid keys, names or numbers, and for a turn whose repetition does not restore the inputs.
     """
     unknown = [key for key in statement if key not in STATED]
     missing = [key for key in ("angle", "inputs") if key not in statement]
@@ -128,15 +129,16 @@ def stated(statement: Mapping, input_names: Sequence[str], outputs: int) -> Turn
         raise ValueError(f"symmetry has the keys {list(statement)}; expected angle, axis and inputs")
     size, angle, axis = marker_size(outputs), statement["angle"], statement.get("axis", [0, 0])
     if not size:
-        raise ValueError(f"symmetry: {outputs} outputs are no markers of 3 or 2 coordinates; observe whole markers, or "
-                         "leave the symmetry out")
+        raise ValueError(f"symmetry: {outputs} outputs are not markers with 3 or 2 coordinates each; use all coordinates "
+                         "of the markers as outputs, or leave the symmetry out")
     if not isinstance(angle, (int, float)) or isinstance(angle, bool) or not 0 < abs(angle) <= 180 \
             or abs(360 / angle - round(360 / angle)) > SAME:
-        raise ValueError(f"symmetry.angle is {angle!r}; expected degrees that divide 360, as 180, 120, 90 or 60")
+        raise ValueError(f"symmetry.angle is {angle!r}; expected degrees that divide 360, such as 180, 120, 90 or "
+                         "60")
     if size == 3:
         axis = np.asarray(axis, dtype=float) if _are_numbers(axis) else np.zeros(0)
         if axis.shape != (3,) or not np.isfinite(axis).all() or not axis.any():
-            raise ValueError(f"symmetry.axis is {statement.get('axis')!r}; expected three numbers, as [0, 0, 1]")
+            raise ValueError(f"symmetry.axis is {statement.get('axis')!r}; expected three numbers, such as [0, 0, 1]")
     P = _renumbering(statement["inputs"], list(input_names))
     R = rotation(float(angle), axis if size == 3 else (0, 0))
     turn = Turn(np.kron(np.eye(outputs // size), R), P, f"turn by {angle:g}°")
@@ -162,7 +164,7 @@ def _renumbering(names, known: list[str]) -> np.ndarray:
         elif column < len(known):
             P[known.index(plain), column] = 1.0 if plain == name else -1.0
     if strange:
-        raise ValueError(f"symmetry.inputs names {strange}, which are no inputs; there are {known}")
+        raise ValueError(f"symmetry.inputs names {strange}, but the inputs are {known}")
     if len(names) != len(known) or not (np.abs(P).sum(1) == 1).all():
         raise ValueError(f"symmetry.inputs is {list(names)}; expected each of the {len(known)} inputs {known} once")
     return P

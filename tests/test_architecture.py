@@ -36,7 +36,7 @@ HOMES = {
              "collection/resumption.py", "paper/report_sections.py"],
     "yaml": ["data/recording_card.py", "commissioning/card.py", "documents/stray_numbers.py"],
     "matplotlib": ["evaluation/*figures.py"],
-    "jinja2": ["evaluation/report.py"], "markupsafe": ["evaluation/report.py"],
+    "jinja2": ["report/html_page.py"], "markupsafe": ["report/html_page.py"],
     "meshio": ["plants/finite_element/mesh_files.py"], "fontTools": ["tasks/symbols.py"],
     "zmq": ["wire/link.py"], "rerun": ["closed_loop/rerun_view.py"],
 }
@@ -59,7 +59,7 @@ TOUCHES_FILES = [
     "provenance.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py", "commissioning/directory.py",
     "controller_design/report.py", "defaults.py", "data/*", "documents/*",
     "deployment/deploy.py", "fitting/by_kind.py", "fitting/checkpoints.py", "evaluation/*figures.py",
-    "evaluation/report.py", "evaluation/report_sections.py",
+    "report/html_page.py", "report/run_sections.py",
     "paper/report_sections.py",
     "plants/finite_element/mesh_files.py", "tasks/symbols.py", "closed_loop/rerun_view.py"]
 NAMELESS = {"utils", "util", "helpers", "helper", "common", "misc", "manager"}

@@ -18,7 +18,7 @@ import torch
 
 from ssmr_torch import configuration
 from ssmr_torch import data_sheet as sheet
-from ssmr_torch.comparison import Comparison
+from ssmr_torch.evaluation.model_comparison import Comparison
 from ssmr_torch.extras import remedy
 from ssmr_torch.fitting.compare_models import compare
 from ssmr_torch.trajectory import TrajectoryDataset

@@ -1,4 +1,4 @@
-"""The record of a run in closed loop, and its file."""
+"""The closed-loop record: all samples of one run in closed loop, and their file."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ FORMAT = "ssmr_torch closed loop 1"
 class ClosedLoopRecord(DataSheet):
     """One run in closed loop, T samples.
 
-    time (T,) s; reference (T, q) m in the columns `tracked` of the outputs; observation (T, p) m, where the plant
-    truly was; measurement (T, p) m, what the controller saw of it, NaN where a sample was missing; input (T, m),
-    commanded from time[k] to time[k+1]. fallback (T,) whether the controller fell back; statuses (T,) name of the
-    Status, empty where nothing was decided; solve_time (T,) s of CPU time that the controller took, which other work on
-    the machine does not lengthen, and iterations (T,) programs solved; NaN and 0 where an input was held. violation
-    (T,) m: the largest of the constraints that the plan foresaw, margins included; NaN where nothing was planned under
-    constraints, and everywhere in records that know none.
+    time: (T,) s.   reference: (T, q) m, for the outputs `tracked`.   observation: (T, p) m, the true outputs of the
+    plant.   measurement: (T, p) m, what the controller measured, NaN where a sample was missing.   input: (T, m), the
+    command from time[k] to time[k+1].   fallback: (T,), whether the controller fell back.   statuses: (T,), names of
+    the Status, empty at samples without a decision.   solve_time: (T,) s of CPU time for the decision, which other
+    work on the computer does not lengthen.   iterations: (T,), number of programs solved. At samples that hold an
+    input, solve_time is NaN and iterations is 0.   violation: (T,) m, the largest violation of a constraint in the
+    plan, with margins; NaN where there was no plan with constraints, and in old records without this column.
     """
 
     time: np.ndarray
@@ -55,7 +55,7 @@ class ClosedLoopRecord(DataSheet):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         lengths = {name: len(getattr(self, name)) for name in (*ARRAYS, "statuses")}
         if len(set(lengths.values())) != 1:
-            raise ValueError(f"a record needs equally many samples everywhere; got {lengths}")
+            raise ValueError(f"a record needs the same number of samples everywhere; got {lengths}")
 
     @property
     def error(self) -> np.ndarray:
@@ -79,12 +79,12 @@ class ClosedLoopRecord(DataSheet):
         return f"ClosedLoopRecord{name}: {sheet.number(self.time[-1] - self.time[0])} s", entries | sheet.origin(said)
 
     def report(self, obstacles=()) -> LoopReport:
-        """All that is said of the run together, as ssmr control prints it; obstacles: those of the task."""
+        """Everything that ssmr control prints about the run; obstacles: those of the task."""
         return loop_report(self, obstacles)
 
     def _errors(self) -> str:
         if not np.isfinite(self.error).all():
-            return "not finite to the end"
+            return "not finite until the end"
         settling = SETTLING_TIME if self.time[-1] - self.time[0] > SETTLING_TIME else 0.0
         measured = self.time, self.observation[:, list(self.tracked)], self.reference
         rmse, largest = (sheet.number(1e3 * error(*measured, settling_time=settling))
@@ -92,7 +92,7 @@ class ClosedLoopRecord(DataSheet):
         return f"RMSE {rmse} mm, at most {largest} mm" + (f" after {settling:g} s" if settling else "")
 
     def save(self, path: str | Path) -> Path:
-        """Write one HDF5 file; it appears only when it is complete."""
+        """Write one HDF5 file. The file appears only when it is complete."""
         import h5py
 
         path = Path(path)
@@ -111,7 +111,7 @@ class ClosedLoopRecord(DataSheet):
 
     @classmethod
     def load(cls, path: str | Path) -> ClosedLoopRecord:
-        """Read a file written by `save`. Raises FileNotFoundError, or ValueError for another kind of file."""
+        """Read a file written by `save`. Raises FileNotFoundError, and ValueError for another kind of file."""
         import h5py
 
         path = Path(path)
@@ -129,8 +129,8 @@ class ClosedLoopRecord(DataSheet):
 
 
 def told_by(controller) -> dict:
-    """What a controller says of itself and its run, as far as it does: what tuned it, minutes of recordings, reach m,
-    first natural frequency rad/s of its model, and what it counted.
+    """What a controller reports about itself and its run: how it was tuned, minutes of recordings, reach in m, first
+    natural frequency of its model in rad/s, and its counts. What the controller does not report is left out.
     """
     facts, model = getattr(controller, "facts", {}), getattr(controller, "model", None)
     told = {name: facts[name] for name in ("tuned", "minutes", "reach") if facts.get(name) is not None}
@@ -142,5 +142,5 @@ def told_by(controller) -> dict:
 
 
 def planned_violations(commands) -> np.ndarray:
-    """(T,) m, see `ClosedLoopRecord`."""
+    """(T,) m, the column `violation` of `ClosedLoopRecord`."""
     return np.array([getattr(command.plan, "violation", np.nan) for command in commands])

@@ -1,4 +1,4 @@
-"""A closed loop while it runs, through rerun (https://rerun.io); the only file that knows it."""
+"""A live view of a closed loop, by rerun (https://rerun.io). No other file imports rerun."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ LOGGER = logging.getLogger(__name__)
 TIMELINE = "time"
 GREEN, BLUE, ORANGE, GREY, RED = (80, 180, 90), (70, 130, 220), (240, 150, 40), (150, 150, 150), (210, 70, 60)
 CIRCLE = np.stack([np.cos(np.linspace(0.0, 2 * np.pi, 49)), np.sin(np.linspace(0.0, 2 * np.pi, 49))], axis=1)
-OPENING = 10.0          # s that a viewer may take to open
+OPENING = 10.0          # s, how long a viewer may take to open
 REACH = 0.1             # m, half the drawn length of a half-plane's edge
-UNWATCHED = 5           # samples at the start, in which rerun sets itself up, that patience does not judge
+UNWATCHED = 5           # first samples, in which rerun starts up; `patience` does not apply to them
 
 
 class RerunView:
     """Tip, reference, plan, obstacles, inputs, solve time and fallbacks of a closed loop, one set per control step.
 
-    The `watch` of `closed_loop.simulate`, and a context manager: the end of the block completes a recording.
+    Give it as `watch` to `closed_loop.simulate`. It is a context manager; the end of the block completes a recording.
     task: tracked outputs and obstacles.   plant: output_names, input_names, input_unit.   recording: a .rrd file,
-    relative to `directory`, instead of a viewer.   address: of a viewer that runs already, on this or another computer;
-    None opens one here.   trail: s of the tip's past path that stay drawn.   patience: s; longer for one sample, and
-    the view ends.
+    relative to `directory`, in place of a viewer.   address: of a viewer that runs already, on this or another
+    computer; None opens a viewer here.   trail: s, how long the tip's path stays drawn.   patience: s; when one sample
+    takes longer, the view ends.
 
-    Whatever goes wrong in the viewer ends the view with one message in the log, never the loop. Samples at which the
-    input is held are passed over. Length is in m, time in s, as the names of all curves say.
-    Raises ValueError when rerun is not installed, and as `task.columns` does.
+    An error in the viewer ends the view with one message in the log, but never the loop. Samples at which the input is
+    held are not shown. Length is in m, time in s, as the names of all curves say.
+    Raises ValueError when rerun is not installed, and where `task.columns` does.
     """
 
     @configurable(given=("directory",))
@@ -46,7 +46,7 @@ class RerunView:
         try:
             self._rerun = importlib.import_module("rerun")
         except ImportError as error:
-            raise ValueError("the live view needs rerun: pip install 'ssmr_torch[view]', or view=none") from error
+            raise ValueError("the live view needs rerun: pip install 'ssmr_torch[view]', or use view=none") from error
         self.task, self.patience, self.trail = task, float(patience), float(trail)
         self._columns = list(task.columns(plant.output_names))
         self._tracked = [plant.output_names[column] for column in self._columns]
@@ -70,14 +70,17 @@ class RerunView:
         self.close()
 
     def close(self) -> None:
-        """Complete the recording; later samples are not shown. Twice does no harm. Never raises."""
+        """Complete the recording; later samples are not shown. A second call does nothing. Never raises."""
         stream, self._stream = self._stream, None
         if stream is not None:
             _disconnect(stream)
 
     def __call__(self, time: float, reference: np.ndarray, observation: np.ndarray, measurement: np.ndarray, command,
                  solve_time: float) -> None:
-        """One sample of the loop: s, (q,) m, (p,) m, (p,) m, Command, s. Never raises."""
+        """Show one sample: time s, reference (q,) m, observation (p,) m, measurement (p,) m, Command, solve time s.
+
+        Never raises.
+        """
         if self._stream is None or command.held:
             return
         start = perf_counter()
@@ -89,13 +92,13 @@ class RerunView:
         self._samples += 1
         took = perf_counter() - start
         if took > self.patience and self._samples > UNWATCHED:
-            self._end(f"at {time:.3f} s: one sample took {took:.3f} s, more than its patience of {self.patience} s")
+            self._end(f"at {time:.3f} s: one sample took {took:.3f} s, longer than the patience of {self.patience} s")
 
     def _end(self, why: str) -> None:
         LOGGER.warning("The live view ended: %s. The loop goes on.", why)
         stream, self._stream = self._stream, None
         if stream is not None:
-            # rerun waits seconds for a viewer that is gone; the loop does not.
+            # rerun waits several seconds for a viewer that is gone. The loop must not wait.
             Thread(target=_disconnect, args=(stream,), daemon=True).start()
 
     def _open(self, recording: Path | None, address: str | None) -> None:
@@ -120,7 +123,7 @@ class RerunView:
                                                                row_shares=[5, 1]), views.Vertical(*curves)))
 
     def _label(self) -> None:
-        """Names and colours, which rerun then need not be told at every sample, and what stands still."""
+        """Send names, colours and everything that does not move once, so that it is not sent at every sample."""
         rr, kinds = self._rerun, ("", "measured ", "reference ")
         for name, curves in (
                 ("outputs", [f"{kind}{name} [m]" for kind in kinds for name in self._tracked]),
@@ -163,7 +166,7 @@ class RerunView:
             self._log("messages", rr.TextLog(f"{time:.3f} s: fell back, {command.fallback.name}", level="WARN"))
 
     def _paths(self, time: float, tip: np.ndarray, plan):
-        """The tip's past path, and over the horizon what is predicted and what is asked for."""
+        """The tip's past path, and the predicted and the reference path over the horizon."""
         self._path.append((time, tip))
         while self._path[0][0] < time - self.trail:
             self._path.popleft()
@@ -178,12 +181,12 @@ def _disconnect(stream) -> None:
     try:
         stream.disconnect()
     except Exception as error:
-        LOGGER.warning("What the live view had left to show is lost: %s", error)
+        LOGGER.warning("The live view could not show its last samples: %s", error)
 
 
 @contextmanager
 def _own_programs():
-    """The programs beside this Python are found first: an environment that is not activated has its viewer there."""
+    """The programs beside this Python come first: in an environment that is not activated, the viewer is there."""
     before = os.environ.get("PATH", "")
     os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), before])
     try:
@@ -197,7 +200,7 @@ def _moves(shape: Circle | HalfPlane) -> bool:
 
 
 def _in_space(outputs: np.ndarray) -> np.ndarray:
-    """The first three outputs (..., q) as points (..., 3), zero in those that there are not."""
+    """The first three outputs (..., q) as points (..., 3). Missing coordinates are zero."""
     points = np.zeros(outputs.shape[:-1] + (3,))
     count = min(3, outputs.shape[-1])
     points[..., :count] = outputs[..., :count]
@@ -209,7 +212,7 @@ def _outline(shape: Circle | HalfPlane, time: float) -> np.ndarray:
     if isinstance(shape, Circle):
         return _in_space(shape.centers(np.array([time]))[0] + shape.radius * CIRCLE)
     normal = _in_space(shape.normal)
-    # Across the normal, in the plane of the first two outputs where that is possible.
+    # The edge is across the normal, in the plane of the first two outputs where that is possible.
     across = np.cross(normal, [0.0, 0.0, 1.0] if abs(normal[2]) < 0.9 else [0.0, 1.0, 0.0])
     across *= REACH / np.linalg.norm(across)
     foot = shape.offset * normal

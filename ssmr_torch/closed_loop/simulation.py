@@ -1,4 +1,4 @@
-"""A controller on a plant, sample by sample."""
+"""Simulation of a closed loop: a controller steers a plant, sample by sample."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from ssmr_torch import __version__
 from ssmr_torch.closed_loop.record import ClosedLoopRecord, planned_violations, told_by
 from ssmr_torch.periods import whole_multiple
 
-PATIENCE = 3.0  # s that a run may take before a bar shows how far it is
+PATIENCE = 3.0  # s; a run that takes longer shows a progress bar
 
 
 def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, progress: bool = False,
              provenance: dict | None = None, watch: Callable[..., None] | None = None) -> ClosedLoopRecord:
     """Let the controller steer the plant through the task, from the plant's rest, one call per plant sample.
 
-    seed: fixes the plant's randomness and the measurement noise.   noise_std: of every observed value, m, on top of
-    what the plant's own sensors add.
-    watch: called once per sample, after the command was computed and before it acts, with time s, reference (q,) m,
-    observation (p,) m, measurement (p,) m, the Command, and the s that it took to compute; what it raises ends the run.
+    seed: fixes the plant's randomness and the measurement noise.   noise_std: m, noise of every observed value, added
+    to the noise of the plant's own sensors.
+    watch: called once per sample, after the command is computed and before it is applied, with time s, reference (q,)
+    m, observation (p,) m, measurement (p,) m, the Command, and its computing time s. An error in it ends the run.
     Raises ValueError when the control period is not a multiple of the plant's timestep.
     """
     for what, given, parts in (("plant", plant, ("timestep", "output_names", "reset", "step")),
@@ -29,7 +29,7 @@ def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, 
                                ("task", task, ("duration", "reference", "columns"))):
         lacking = [part for part in parts if not hasattr(given, part)]
         if lacking:
-            raise TypeError(f"the {what} is {type(given).__name__}, which has no {', no '.join(lacking)}; "
+            raise TypeError(f"the {what} is a {type(given).__name__}, which has no {', no '.join(lacking)}; "
                             f"expected a {what}")
     _ = whole_multiple("the control period", controller.period, "the plant's timestep", plant.timestep)
     if not noise_std >= 0:
@@ -60,7 +60,7 @@ def simulate(plant, controller, task, *, seed: int = 0, noise_std: float = 0.0, 
 
 
 def _counted(steps, name: str):
-    """The steps, with a bar where they take more than `PATIENCE`."""
+    """The steps, with a progress bar where they take longer than `PATIENCE`."""
     from tqdm import tqdm
 
     return tqdm(steps, desc=name, delay=PATIENCE)

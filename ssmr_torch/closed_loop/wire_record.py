@@ -1,4 +1,4 @@
-"""The record of a run over the wire."""
+"""The closed-loop record of a run over the wire."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from ssmr_torch.wire.messages import Code
 
 
 def record_of(end: ControllerEnd, task, provenance: dict | None = None) -> ClosedLoopRecord:
-    """What the controller saw and did in the run that its end has the samples of.
+    """The record of the controller's last run.
 
-    Nobody here knows where the robot truly was: the observation is the measurement, linear in between where one was
-    missing. Raises ValueError for a run of which no measurement came.
+    The true outputs of the robot are not known here, so that the observation is the measurement, interpolated linearly
+    where one was missing. Raises ValueError for a run without a measurement.
     """
     samples, card = end.samples, end.card
     time = np.array([sample.time for sample in samples])
     measurement = np.array([sample.observation for sample in samples]).reshape(len(samples), -1)
     seen = np.isfinite(measurement).all(axis=1)
     if not seen.any():
-        raise ValueError("no measurement came in this run; there is nothing to record")
+        raise ValueError("no measurement arrived in this run, so there is nothing to record; check the robot's end")
     observation = np.stack([np.interp(time, time[seen], column) for column in measurement[seen].T], axis=1)
     commands = [sample.command for sample in samples]
     codes = [code_of(command) for command in commands]

@@ -6,7 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
-from ssmr_torch.control.checked_measurement import RecordedRange
+from ssmr_torch.control.missing_measurements import mend
+from ssmr_torch.control.sampling import RecordedRange
 
 # Samples before the window that are kept to bridge gaps in it.
 BEFORE = 6
@@ -33,9 +34,7 @@ class ChartEstimator:
 
     model: with `encode`, `decode`, `state_scale`, `delays`, `input_dim`, `output_dim`. stride: measurements from one
     sample of the window to the next. Before the first measurement the robot is taken to have rested where it is. Values
-    that are missing, or beyond the recorded range, are replaced in the window as soon as one that is neither comes:
-    by the parabola through it, the last good one, and the one as long before that; by a straight line where so much is
-    not kept; and by the new value where the gap is longer than the window.
+    that are missing, or beyond the recorded range, are replaced in the window once the next good one comes: see `mend`.
     """
 
     def __init__(self, model, stride: int):
@@ -65,22 +64,7 @@ class ChartEstimator:
             self._inputs[:-1] = self._inputs[1:]
             self._inputs[-1] = last_input
         if self._gaps is not None or not good.all():
-            self._mend(good)
-
-    def _mend(self, good: np.ndarray) -> None:
-        """Fill the gaps that end with the newest sample, and count on those that do not."""
-        gaps = np.zeros(len(good), dtype=int) if self._gaps is None else self._gaps
-        for output in np.flatnonzero(good & (gaps > 0)):
-            rows, gap = self._observations[:, output], gaps[output]
-            if gap + 2 > len(rows):
-                rows[:] = rows[-1]
-                continue
-            s, last = np.arange(1, gap + 1) / (gap + 1), rows[-2 - gap]
-            rows[-1 - gap:-1] = last + s * (rows[-1] - last)
-            if 2 * gap + 3 <= len(rows):
-                rows[-1 - gap:-1] -= 0.5 * s * (1.0 - s) * (rows[-1] - 2.0 * last + rows[-3 - 2 * gap])
-        gaps = np.where(good, 0, np.minimum(gaps + 1, len(self._observations)))
-        self._gaps = gaps if gaps.any() else None
+            self._gaps = mend(self._observations, self._gaps, good)
 
     def window(self) -> tuple[np.ndarray, np.ndarray]:
         """Views of the delay window (n_d + 1, p), oldest first, and of the inputs (n_d, m) set at all samples but the

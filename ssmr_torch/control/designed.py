@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ssmr_torch.control.base import changed_bounds
+from ssmr_torch.control.input_bounds import changed_bounds
 from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.control.mpc_settings import PredictiveControlSettings
 from ssmr_torch.keywords import configurable

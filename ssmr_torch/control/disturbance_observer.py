@@ -6,10 +6,10 @@ from collections import Counter
 
 import numpy as np
 
-from ssmr_torch.control.base import whole_steps
 from ssmr_torch.control.chart_estimator import ChartEstimator
 from ssmr_torch.control.outlier_gate import InnovationGate
 from ssmr_torch.control.stepping import Stepper
+from ssmr_torch.periods import whole_steps
 
 BEYOND = 1.2      # times the recorded range: a state there which mispredicts as well is lost
 STRANGE = 10      # samples in a row that it must do so

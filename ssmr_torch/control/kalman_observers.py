@@ -6,9 +6,9 @@ from collections import Counter
 
 import numpy as np
 
-from ssmr_torch.control.base import whole_steps
 from ssmr_torch.control.chart_estimator import ChartEstimator
 from ssmr_torch.control.outlier_gate import InnovationGate
+from ssmr_torch.periods import whole_steps
 
 # A state whose norm exceeds that of the training range by this factor is not believed: the filter starts anew.
 RANGE_FACTOR = 3.0

@@ -10,10 +10,11 @@ import numpy as np
 
 from ssmr_torch import data_sheet as sheet
 from ssmr_torch.control.actuator import ActuatorState
-from ssmr_torch.control.base import Command, admissible_input, whole_steps
+from ssmr_torch.control.base import Command
 from ssmr_torch.control.chart_estimator import ChartEstimator
 from ssmr_torch.control.condensing import continues
 from ssmr_torch.control.horizon import horizon_for
+from ssmr_torch.control.input_bounds import admissible_input
 from ssmr_torch.control.mpc_settings import PredictiveControlSettings
 from ssmr_torch.control.problem_from_settings import TrackedReference, actuator_of, names_seen, tracking_problem
 from ssmr_torch.control.sampling import Sample, Sampling
@@ -22,6 +23,7 @@ from ssmr_torch.control.solvers import solver_named
 from ssmr_torch.control.stepping import Stepper
 from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.keywords import configurable
+from ssmr_torch.periods import whole_steps
 from ssmr_torch.status import Status
 
 # A reference that differs by more than this from the one planned for is a new one, m.

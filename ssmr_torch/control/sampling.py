@@ -1,18 +1,170 @@
-"""What every sampled controller does with a call before it decides: its time, its measurement, whether it is due."""
+"""What a sampled controller does with every call before it decides: time, dropped and unreadable measurements, range.
+
+`SampleClock` places the call among the samples, `read` turns whatever was measured into p numbers, `RecordedRange` says
+which of them can be displacements of the robot, and `Sampling` does all three and says whether a control step is due.
+"""
 
 from __future__ import annotations
 
 import logging
 from collections import Counter
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.control.checked_measurement import RecordedRange, read
-from ssmr_torch.control.clock import SampleClock, seconds
-
 log = logging.getLogger(__name__)
+# Share of a timestep by which a measurement may come early or late and still belong to its sample.
+EARLY_OR_LATE = 0.1
+# A displacement of more than this many times the recorded range is not believed to be one.
+BEYOND = 2.0
+# The range of an output is at least this share of the widest one's.
+NARROWEST = 0.2
 BEYOND_THE_RANGE = "beyond the recorded range"
+
+
+class Interval(NamedTuple):
+    """What the time of a call says.
+
+    missed: samples that were skipped since the last call.   anew: the time says nothing about the last call, the
+    controller begins again from where the robot is.   new: False where the sample of the last call is still the newest.
+    """
+
+    missed: int = 0
+    anew: bool = False
+    new: bool = True
+
+
+class SampleClock:
+    """Places each call on the grid of the samples, `timestep` s apart.
+
+    An interval of k timesteps means that k − 1 samples were skipped; at most `longest` may be. A call that is off the
+    grid by more than `EARLY_OR_LATE` belongs to the nearest sample, and the difference is carried along: intervals of
+    1.5 timesteps count as one and two in turn. A call within half a timestep of the last one brings nothing new. A jump
+    backwards, or over more than `longest` samples, starts anew. A time that is not finite counts as the next sample.
+
+    counts: "skipped" samples, "irregular" intervals, "repeated" calls, calls "without time", "restarted" by a jump.
+    """
+
+    def __init__(self, timestep: float, longest: int):
+        self.timestep, self.longest = float(timestep), int(longest)
+        self.counts: Counter[str] = Counter()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last call and the counts."""
+        self.counts.clear()
+        self._last: float | None = None
+
+    def advance(self, time: float) -> Interval:
+        """time in s, of this call."""
+        since = 0.0 if self._last is None else (time - self._last) / self.timestep
+        if not (isfinite(time) and isfinite(since)):
+            self.counts["without time"] += 1
+            self._last = None if self._last is None else self._last + self.timestep
+            return Interval()
+        if self._last is None:
+            self._last = time
+            return Interval()
+        return self._placed(time, since)
+
+    def _placed(self, time: float, since: float) -> Interval:
+        samples = round(since)
+        if samples == 0:
+            self.counts["repeated"] += 1
+            return Interval(new=False)
+        if samples < 0 or samples - 1 > self.longest:
+            self.counts["restarted"] += 1
+            self._last = time
+            return Interval(anew=True)
+        regular = abs(since - samples) <= EARLY_OR_LATE
+        self._last = time if regular else self._last + samples * self.timestep
+        if not regular:
+            self.counts["irregular"] += 1
+        if samples > 1:
+            self.counts["skipped"] += samples - 1
+        return Interval(missed=samples - 1)
+
+
+def seconds(time) -> float:
+    """time as a number, not one where it is none."""
+    try:
+        return float(time)
+    except (TypeError, ValueError, OverflowError):
+        return float("nan")
+
+
+def read(observation, size: int) -> tuple[np.ndarray, bool]:
+    """The observation as float64 (size,), a copy, and whether every value in it was a number.
+
+    What is masked, or no number (None, a word, something complex), becomes NaN: a missing value.
+    Raises ValueError for another shape.
+    """
+    if type(observation) is np.ndarray and observation.dtype == np.float64:
+        found, readable = observation.copy(), True
+    else:
+        found, readable = _numbers(observation, size)
+    if found.shape != (size,):
+        raise ValueError(f"the observation has shape {found.shape}; expected ({size},)")
+    return found, readable
+
+
+def _numbers(observation, size: int) -> tuple[np.ndarray, bool]:
+    if isinstance(observation, np.ma.MaskedArray):
+        values, readable = _numbers(observation.data, size)
+        return np.where(np.ma.getmaskarray(observation), np.nan, values), readable
+    numeric = not isinstance(observation, np.ndarray) or observation.dtype.kind in "fiub"
+    try:
+        if numeric:
+            return np.array(np.asarray(observation, dtype=np.float64)), True
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        pass  # not numbers alone: each is looked at below
+    try:
+        values = np.asarray(observation, dtype=object)
+    except (TypeError, ValueError, RuntimeError):  # what refuses to be an array
+        return np.full(tuple(getattr(observation, "shape", ())), np.nan), False
+    return np.array([_number(value) for value in values.ravel()]).reshape(values.shape), False
+
+
+def _number(value) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return float("nan")
+
+
+class RecordedRange:
+    """How far every output went in the training: |y − w(0)| ≤ r,
+
+        r_j = Σ_i max(|w_j(s_i e_i) − w_j(0)|, |w_j(−s_i e_i) − w_j(0)|),   s = state_scale,
+
+    at least `NARROWEST` times the widest. center w(0) (p,), limit `BEYOND` r (p,), both m; the largest number there is
+    where state_scale is not known.
+    """
+
+    def __init__(self, model):
+        scale = np.asarray(model.state_scale, dtype=np.float64)
+        self.center, self.limit = np.zeros(model.output_dim), np.full(model.output_dim, np.finfo(np.float64).max)
+        if not np.isfinite(scale).all():
+            return
+        with np.errstate(all="ignore"):
+            center = model.decode(np.zeros(len(scale)))
+            ends = np.abs(model.decode(np.concatenate([np.diag(scale), np.diag(-scale)])) - center)
+        reach = ends.reshape(2, len(scale), -1).max(axis=0).sum(axis=0)
+        if np.isfinite(reach).all() and np.isfinite(center).all():
+            self.center, self.limit = center, BEYOND * np.maximum(reach, NARROWEST * reach.max())
+
+    def holds(self, observation: np.ndarray) -> np.ndarray:
+        """(p,), False for an output that is missing or further away than any displacement can be."""
+        return np.abs(observation - self.center) <= self.limit
+
+    def complaint(self, observation: np.ndarray) -> str:
+        """What is wrong with a first measurement that lies beyond, with both numbers."""
+        excess = np.where(np.isfinite(observation), np.abs(observation - self.center) / self.limit, 0.0)
+        worst = int(np.argmax(excess))
+        return (f"output {worst} is {1e3 * observation[worst]:.4g} mm at the first measurement; the model was trained "
+                f"within {1e3 * self.limit[worst] / BEYOND:.4g} mm. Expected displacements from rest: subtract the "
+                "rest position from absolute ones, or record further out")
 
 
 class Sample(NamedTuple):

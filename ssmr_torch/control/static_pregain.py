@@ -9,12 +9,14 @@ from math import isfinite
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from ssmr_torch.control.base import Command, admissible_input, changed_bounds, whole_steps
+from ssmr_torch.control.base import Command
 from ssmr_torch.control.chart_estimator import ChartEstimator
+from ssmr_torch.control.input_bounds import admissible_input, changed_bounds
 from ssmr_torch.control.mpc_settings import PredictiveControlSettings as Predictive
 from ssmr_torch.control.sampling import Sampling
 from ssmr_torch.keywords import configurable
 from ssmr_torch.models.polynomial import PregainModel
+from ssmr_torch.periods import whole_steps
 from ssmr_torch.settings import positive_or_none
 from ssmr_torch.status import Status
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ssmr_torch.control.base import whole_steps
+from ssmr_torch.periods import whole_steps
 
 
 def prediction_margins(source, runs, columns, *, horizon: int | None = None, period: float | None = None,

@@ -9,9 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ssmr_torch.control.base import changed_bounds
 from ssmr_torch.control.condensing import clipped, tracking_cost
 from ssmr_torch.control.constraints import ConstraintsAhead, OutputConstraints
+from ssmr_torch.control.input_bounds import changed_bounds
 from ssmr_torch.control.mpc_settings import PredictiveControlSettings
 from ssmr_torch.settings import positive
 

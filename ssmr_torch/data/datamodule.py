@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import lightning
-import numpy as np
 from torch.utils.data import DataLoader, RandomSampler, Subset
 
 from ssmr_torch.data.data_settings import DataSettings
 from ssmr_torch.data.starts import ScoredRuns, starts_over
+from ssmr_torch.data.training_and_validation import hold_out, limited, noisy
 from ssmr_torch.data.windows import RolloutDataset, SegmentDataset, SegmentShare, stack_rollouts
 from ssmr_torch.keywords import configurable
 from ssmr_torch.periods import whole_multiple
@@ -30,9 +28,9 @@ class TrajectoryDataModule(lightning.LightningDataModule):
         settings = (DataSettings() if settings is None else settings).changed(**changes)
         self.dataset, self.settings = dataset, settings
         self.transient, self.overdrive, self.overspeed = settings.transient, settings.overdrive, settings.overspeed
-        training, self.validation = _hold_out(dataset, settings.validation_share)
-        training = _limited(training, settings.decays, settings.controlled_duration)
-        self.training = tuple(_noisy(run, settings.noise_std, (settings.seed, number))
+        training, self.validation = hold_out(dataset, settings.validation_share)
+        training = limited(training, settings.decays, settings.controlled_duration)
+        self.training = tuple(noisy(run, settings.noise_std, (settings.seed, number))
                               for number, run in enumerate(training))
         test = dataset.select(split="test") if settings.score_test else ()
         self.test = tuple(run for run in test if run.kind != "static")
@@ -87,7 +85,7 @@ class TrajectoryDataModule(lightning.LightningDataModule):
         starts_over([run.length for run in trajectories], horizon, self.dataset.timestep,
                     margin=max(1, self.delays * self.sampling), count=count, seed=seed)
         runs = tuple(run.read() for run in trajectories)
-        seen = tuple(_noisy(run, self.settings.noise_std, (seed, 1, number)) for number, run in enumerate(runs))
+        seen = tuple(noisy(run, self.settings.noise_std, (seed, 1, number)) for number, run in enumerate(runs))
         return DataLoader([ScoredRuns(runs, seen, horizon, count, seed)], batch_size=None)
 
     def _rollouts(self) -> RolloutDataset:
@@ -108,46 +106,3 @@ class TrajectoryDataModule(lightning.LightningDataModule):
         # processes step together: one with a batch more than another would wait for it for ever
         even = len(data) - len(data) % trainer.world_size
         return Subset(data, range(trainer.global_rank, even, trainer.world_size))
-
-
-def _limited(training: tuple, decays: int | None, duration: float | None) -> tuple:
-    """The first `decays` decays, and runs of other kinds until `duration` s are reached."""
-    kept, counted, left = [], 0, float("inf") if duration is None else duration
-    for run in training:
-        if run.kind == "decay":
-            counted += 1
-            if decays is None or counted <= decays:
-                kept.append(run)
-            continue
-        samples = min(run.length, round(min(left, 1e9) / run.timestep))
-        left -= samples * run.timestep
-        if samples >= 2:
-            kept.append(run if samples == run.length else run.part(0, samples))
-    return tuple(kept)
-
-
-def _noisy(run, noise_std: float, seed: tuple[int, int]):
-    if not noise_std:
-        return run
-    whole = run.read()
-    noise = np.random.default_rng(seed).normal(0.0, noise_std, whole.observation.shape)
-    return replace(whole, observation=whole.observation + noise)
-
-
-def _hold_out(dataset: TrajectoryDataset, share: float) -> tuple[tuple, tuple]:
-    training, validation = (tuple(run for run in dataset.select(split=split) if run.kind != "static")
-                            for split in ("train", "validation"))
-    if validation or share == 0:
-        return training, validation
-    kept, held = [], []
-    for trajectory in training:
-        if trajectory.kind != "controlled":
-            kept.append(trajectory)
-            continue
-        boundary = round(trajectory.length * (1 - share))
-        if min(boundary, trajectory.length - boundary) < 2:
-            raise ValueError(f"trajectory {trajectory.name!r} has {trajectory.length} samples, too few to hold out a "
-                             f"share of {share}; set validation_share=0 or mark a run as validation")
-        kept.append(trajectory.part(0, boundary))
-        held.append(trajectory.part(boundary, trajectory.length))
-    return tuple(kept), tuple(held)

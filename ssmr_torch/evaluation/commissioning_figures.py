@@ -1,5 +1,6 @@
-"""The figures of a robot's commissioning: its answers to steps, and the circles that it drew. SI in, mm and s on the
-axes.
+"""Figures of a commissioning: the robot's step responses, and the circles that it drew.
+
+Arguments are in SI units; the axes show mm and s.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ INK, REFERENCE, REST = "#0072B2", "#000000", "#B0B0B0"
 
 @styled
 def steps(answers: Sequence, output_names: Sequence[str]) -> Figure:
-    """One panel per input: what the outputs did per unit of it, the one that moves most in colour; a line at the delay.
+    """One panel per input: the step response of the outputs per unit of input, and a line at the delay. The output that
+    moves most is in colour.
 
-    answers: of `ssmr_torch.commissioning.steps`.
+    answers: from `ssmr_torch.commissioning.steps`.
     """
     columns = min(4, len(answers))
     rows = -(-len(answers) // columns)
@@ -42,7 +44,7 @@ def steps(answers: Sequence, output_names: Sequence[str]) -> Figure:
 
 @styled
 def circles(records: Sequence) -> Figure:
-    """One panel per `ClosedLoopRecord`: the reference, dashed, and where the robot was."""
+    """One panel per `ClosedLoopRecord`: the reference (dashed) and the path of the robot."""
     figure, grid = panels(WIDTH, 3.2, 1, len(records))
     for axes, record in zip(np.ravel(grid), records):
         path = MM * record.observation[:, list(record.tracked)]

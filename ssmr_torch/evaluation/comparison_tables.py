@@ -1,4 +1,4 @@
-"""Tables of many models: how far they predict, which differences are none, and what they cost."""
+"""Tables that compare models: prediction errors by horizon, ties, and the cost of each model."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from ssmr_torch.evaluation.horizon_scores import HorizonScore, OpenLoopScore
 from ssmr_torch.evaluation.run_groups import GroupedScores
 
 BEST, TIED = "*", "="
-LEGEND = (f"{BEST}: lowest mean of the column; {TIED}: tied with it, zero lies in the 95 % interval of the difference "
+LEGEND = (f"{BEST}: lowest mean of the column; {TIED}: tie, because the 95 % interval of the difference contains zero "
           "(paired bootstrap over blocks of a second or a horizon)")
 CELLS = "mean / median RMSE in mm"
 SHARES = "in brackets NMTE, mean error / largest norm of the run"
 
 
 def marks(scores: Mapping[str, OpenLoopScore]) -> dict[str, dict[str, str]]:
-    """Per model and horizon "*" for the lowest mean and "=" for a tie with it, else "".
+    """Mark for each model and horizon: "*" for the lowest mean, "=" for a tie with it, otherwise "".
 
-    Both come from the paired block bootstrap of `bootstrap.rank`. A horizon whose starts make too few blocks to tell,
-    as full rollouts of few runs do, has none. Raises ValueError when the models were not scored alike.
+    They come from the paired block bootstrap of `bootstrap.rank`. A horizon with too few blocks of starts has no marks,
+    for example full rollouts of few runs. Raises ValueError if the models were not scored from the same starts.
     """
     refuse_other_starts(scores)
     found: dict[str, dict[str, str]] = {name: {} for name in scores}
@@ -40,12 +40,12 @@ def difference(scores: Mapping[str, OpenLoopScore], model: str, other: str, labe
     refuse_other_starts(scores)
     parts = [scores[name][label] for name in (other, model)]
     if parts[0].blocks is None:
-        raise ValueError(f"the scores over {label} do not tell their starts; make them with compare_open_loop")
+        raise ValueError(f"the scores over {label} do not name their starts; compute them with compare_open_loop")
     return difference_intervals(np.stack([part.errors for part in parts]), parts[0].blocks, 0)[1]
 
 
 def table_rows(scores: Mapping[str, OpenLoopScore], cell: Callable[[HorizonScore], str]) -> list[list[str]]:
-    """A row per model, and one below it for its score with the noise of the loop: name, then cell and mark by horizon.
+    """Rows of name, then cell and mark by horizon: one row per model, and a second one for its score with noise.
     """
     noisy = {name: score.noisy for name, score in scores.items() if score.noisy is not None}
     marked, noisily = marks(scores), marks(noisy) if noisy else {}
@@ -59,9 +59,11 @@ def table_rows(scores: Mapping[str, OpenLoopScore], cell: Callable[[HorizonScore
 
 
 def comparison_table(scores: Mapping[str, OpenLoopScore], costs: Mapping[str, Mapping[str, float]]) -> str:
-    """Markdown: mean / median error in mm and NMTE per horizon with the marks of `marks`, share of diverged rollouts
-    over all horizons, state dimension, parameters and fit time in CPU seconds. A mean is ∞ where a rollout diverged.
-    costs: of `training.cost_of`, empty where unknown.
+    """Markdown table: mean / median error in mm and NMTE per horizon with the marks of `marks`, share of diverged
+    rollouts over all horizons, state dimension, parameters, and fit time in CPU seconds. A mean is ∞ if a rollout
+    diverged.
+
+    costs: from `training.cost_of`; empty if unknown.
     """
     labels = [part.label for part in next(iter(scores.values())).horizons]
     header = ["model", *labels, "diverged", "n", "parameters", "fit (CPU)"]
@@ -77,10 +79,10 @@ def comparison_table(scores: Mapping[str, OpenLoopScore], costs: Mapping[str, Ma
 
 
 def format_table(scores: Mapping[str, OpenLoopScore]) -> str:
-    """Mean error in mm and NMTE per model and horizon, as text; ∞ where one diverged, with the share and the others'
-    mean.
+    """Text table: mean error in mm and NMTE per model and horizon. If a rollout diverged, the cell shows ∞, the share
+    of diverged rollouts, and the mean of the others.
 
-    Raises ValueError when the models were not scored over the same horizons from the same starts.
+    Raises ValueError if the models were not scored over the same horizons from the same starts.
     """
     first = next(iter(scores.values()))
     rows = [["model", *(part.label for part in first.horizons)], *table_rows(scores, _mean_and_survivors)]
@@ -88,12 +90,12 @@ def format_table(scores: Mapping[str, OpenLoopScore]) -> str:
     lines = ["  ".join(cell.rjust(width) if column else cell.ljust(width)
                        for column, (cell, width) in enumerate(zip(row, widths))) for row in rows]
     note = (f"mean RMSE in mm over n = {starts_of(first)} starts, one training per model, {SHARES};\n"
-            f"∞: some diverged (their share, mean of the others); {LEGEND}")
+            f"∞: some rollouts diverged (their share, mean of the others); {LEGEND}")
     return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], note])
 
 
 def format_groups(found: GroupedScores) -> str:
-    """The table of each group of runs, and what was left out, as text; of one group alone without its name."""
+    """Text: the table of each group of runs, and the kinds of runs that were left out. A single group has no title."""
     if len(found.groups) <= 1:
         return format_table(found.scores)
     parts = [f"{name}, {found.sizes[name]} {'run' if found.sizes[name] == 1 else 'runs'}\n{format_table(scores)}"
@@ -116,13 +118,13 @@ def stored(found: GroupedScores) -> dict:
 
 
 def refuse_other_starts(scores: Mapping[str, OpenLoopScore]) -> None:
-    """Raises ValueError when the models were not scored over the same horizons from the same starts."""
+    """Raises ValueError if the models were not scored over the same horizons from the same starts."""
     first = next(iter(scores.values()))
     for name, score in scores.items():
         if _setting(score) != _setting(first):
-            raise ValueError(f"{name!r} was scored over {_setting(score)}, the first model over "
+            raise ValueError(f"{name!r} was scored with {_setting(score)}, but the first model with "
                              f"{_setting(first)} (horizons and starts, margin, seed, outputs, noise); "
-                             "use compare_open_loop")
+                             "score both with compare_open_loop")
 
 
 def starts_of(score: OpenLoopScore) -> str:

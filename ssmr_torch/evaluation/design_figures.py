@@ -1,4 +1,4 @@
-"""Figures of a design: actuator, held-out errors, innovations, sensitivity, errors against the twin."""
+"""Figures of a controller design: actuator, held-out errors, innovations, sensitivity, errors on the twin."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ FREQUENCIES = 60
 
 
 def draw(report, folder: Path) -> list[Path]:
-    """Write actuator.png, model.png, innovations.png, sensitivity.png and twin.png; returns those that there are."""
+    """Write actuator.png, model.png, innovations.png, sensitivity.png and twin.png. Returns the paths of those written.
+    """
     made = []
     for name, painter in (("actuator", _actuator), ("model", _model), ("innovations", _innovations),
                           ("sensitivity", _sensitivity), ("twin", _twin)):
@@ -27,7 +28,7 @@ def draw(report, folder: Path) -> list[Path]:
 
 @styled
 def _actuator(report) -> Figure | None:
-    """Held-out error over delay, lag, and friction, each with the others as found."""
+    """Held-out error over delay, lag and friction; in each panel the other two keep their found values."""
     found = report.identification
     if not found.by_delay:
         return None
@@ -74,7 +75,7 @@ def _model(report) -> Figure | None:
 
 @styled
 def _innovations(report) -> Figure:
-    """Distribution of the innovations of the held-out runs, in standard deviations, beside the normal one."""
+    """Distribution of the innovations of the held-out runs in standard deviations, with the normal distribution."""
     likelihood, names = report.likelihood, report.recordings.output_names
     observer = likelihood.observer(report.noises)
     errors = likelihood.innovations(observer).reshape(-1, len(names)) / np.sqrt(np.diag(observer.covariance))
@@ -90,7 +91,9 @@ def _innovations(report) -> Figure:
 
 @styled
 def _sensitivity(report) -> Figure:
-    """Largest singular value of the tracked outputs' sensitivity over frequency, at every point of the margins."""
+    """Largest singular value of the tracked outputs' sensitivity over frequency, for every operating point that was
+    checked for margins.
+    """
     best, h = report.search.best, report.recordings.timestep
     frequencies = np.geomspace(0.01, 0.98 * np.pi, FREQUENCIES)
     figure, axis = panels(0.5 * WIDTH, 2.4)
@@ -103,7 +106,7 @@ def _sensitivity(report) -> Figure:
 
 @styled
 def _twin(report) -> Figure | None:
-    """Tracking error against the disturbed twin, by case."""
+    """Tracking error on the disturbed twin, by case."""
     errors = report.search.best.against_twin
     if not errors:
         return None

@@ -1,4 +1,4 @@
-"""Figures of fits, predictions and closed loops. SI in; mm, ms and % on the axes. Robots: robot_figures."""
+"""Figures of fits, predictions and closed loops. Arguments are in SI units; axes show mm, ms and %."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
 
 
 def look(name: str) -> tuple[str, str] | None:
-    """Colour and line of a method of `METHODS`, in whatever case and with spaces or underscores; None for another."""
+    """Colour and line style of a method of `METHODS`; None for others. Case, spaces and underscores do not matter."""
     return _LOOKS.get(_plain(name))
 
 
@@ -58,12 +58,12 @@ _LOOKS |= {_plain(alias): METHODS[name] for alias, name in ALIASES.items()}
 
 
 def colours(names: Iterable[str]) -> dict[str, str]:
-    """The colour of each method: always the same for those of `METHODS`, spare ones in order for others."""
+    """The colour of each method: fixed for those of `METHODS`, the next spare colour for each other one."""
     names = list(names)
     unknown = [name for name in names if look(name) is None]
     if len(unknown) > len(SPARE_COLOURS):
-        raise ValueError(f"{len(unknown)} methods without a fixed colour, {len(SPARE_COLOURS)} spare ones; "
-                         f"draw fewer at once or name them as in {list(METHODS)}")
+        raise ValueError(f"{len(unknown)} methods have no fixed colour, but there are {len(SPARE_COLOURS)} spare "
+                         f"colours; draw fewer methods at once, or use the names {list(METHODS)}")
     spare = dict(zip(unknown, SPARE_COLOURS))
     return {name: spare[name] if name in spare else look(name)[0] for name in names}
 
@@ -91,10 +91,10 @@ def svg(figure: Figure) -> str:
 
 @styled
 def singular_values(values: np.ndarray, dimension: int) -> Figure:
-    """σ_i / σ_1, the variance 1 − Σ_{j≤i} σ_j² / Σ σ_j² left out (%), and the gaps σ_i / σ_{i+1}, over the mode i.
+    """σ_i / σ_1, the omitted variance 1 − Σ_{j≤i} σ_j² / Σ σ_j² (%), and the gaps σ_i / σ_{i+1}, over the mode i.
 
-    values: (K,) singular values, descending; dimension: the number of modes kept, marked.
-    Raises ValueError when the values are not positive and descending, or fewer than dimension.
+    values: (K,) singular values, descending; dimension: the number of modes that are kept, which is marked.
+    Raises ValueError if the values are not positive and descending, or if there are fewer than dimension.
     """
     values = np.asarray(values, dtype=np.float64)
     descending = values.ndim == 1 and (values > 0).all() and (np.diff(values) <= 0).all()
@@ -124,7 +124,8 @@ def singular_values(values: np.ndarray, dimension: int) -> Figure:
 @styled
 def eigenvalues(spectra: Mapping[str, np.ndarray], reference: np.ndarray | None = None,
                 label: str = "reference") -> Figure:
-    """Eigenvalues (1/s) of the reduced dynamics' linear part, per method; a reference as open circles."""
+    """Eigenvalues (1/s) of the linear part of the reduced dynamics, per method; a reference is drawn as open circles.
+    """
     figure, axes = panels(WIDTH / 2, 2.8)
     axes.axvline(0.0, color="#666666", linewidth=0.8)
     if reference is not None:
@@ -141,10 +142,10 @@ def eigenvalues(spectra: Mapping[str, np.ndarray], reference: np.ndarray | None 
 @styled
 def prediction(time: np.ndarray, measured: np.ndarray, predicted: Mapping[str, tuple[np.ndarray, np.ndarray]],
                output_names: Sequence[str], target: str = "measured") -> Figure:
-    """Each output (mm) over time (s): measured, and what each model predicts from one start without correction.
+    """Each output (mm) over time (s): the measurement, and each model's prediction from one start without correction.
 
-    time: (T,) s; measured: (T, p) m; predicted: name → (time (H,) s, outputs (H, p) m). The axes follow what was
-    measured: a diverging prediction leaves them. target: what the measured line is called.
+    time: (T,) s; measured: (T, p) m; predicted: name → (time (H,) s, outputs (H, p) m). The measurement sets the limits
+    of the axes, so a diverging prediction leaves them. target: label of the measured line.
     """
     measured = np.asarray(measured)
     _match_columns(measured, output_names)
@@ -166,7 +167,7 @@ def prediction(time: np.ndarray, measured: np.ndarray, predicted: Mapping[str, t
 
 @styled
 def error_over_horizon(horizons: np.ndarray, errors: Mapping[str, np.ndarray]) -> Figure:
-    """Mean RMSE (mm) over the prediction horizon (s), both logarithmic; a cross where rollouts begin to diverge.
+    """Mean RMSE (mm) over the prediction horizon (s), both logarithmic; a cross marks where rollouts begin to diverge.
 
     horizons: (K,) s; errors: name → (K,) m, infinite where a rollout diverged.
     """
@@ -253,7 +254,7 @@ def inputs(time: np.ndarray, commands: Mapping[str, np.ndarray], bounds: np.ndar
 
 @styled
 def solve_times(times: Mapping[str, np.ndarray], period: float) -> Figure:
-    """Solve times (ms, logarithmic) per method against the control period; box: quartiles, whiskers: 1 and 99 %.
+    """Solve times (ms, logarithmic) per method, with the control period. Boxes: quartiles; whiskers: 1 and 99 %.
 
     times: name → (K,) s; period: s.
     """
@@ -279,7 +280,7 @@ def solve_times(times: Mapping[str, np.ndarray], period: float) -> Figure:
 def ise_bars(ise: Mapping[str, Mapping[str, float]]) -> Figure:
     """Integral squared error (mm², logarithmic) per task and method; ise: task → method → m².
 
-    An infinite one is marked as failed; one that is missing leaves a gap.
+    An infinite value is marked as failed; a missing value leaves a gap.
     """
     methods = list(dict.fromkeys(method for row in ise.values() for method in row))
     figure, axes = panels(min(WIDTH, 2.0 + 0.4 * len(methods) * len(ise)), 2.7)
@@ -301,7 +302,7 @@ def ise_bars(ise: Mapping[str, Mapping[str, float]]) -> Figure:
 
 
 def panels(width: float, height: float, *grid: int, **options):
-    """A figure of a size in inches and its axes: one, or as many as `Figure.subplots` gives."""
+    """A figure of this size in inches, and its axes, as `Figure.subplots` returns them."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(*grid, **options)
 
@@ -312,7 +313,7 @@ def _line(name: str) -> str:
 
 def _legend(figure: Figure, axes: Axes) -> None:
     handles, labels = axes.get_legend_handles_labels()
-    entry = 0.55 + 0.075 * max(map(len, labels))  # in, of a handle and the longest label
+    entry = 0.55 + 0.075 * max(map(len, labels))  # width of a handle and the longest label, in inches
     columns = max(1, min(len(labels), int(figure.get_figwidth() / entry)))
     figure.legend(handles, labels, loc="outside upper center", ncols=math.ceil(len(labels) / math.ceil(
         len(labels) / columns)))
@@ -321,4 +322,4 @@ def _legend(figure: Figure, axes: Axes) -> None:
 def _match_columns(array: np.ndarray, names: Sequence[str]) -> None:
     if array.ndim != 2 or array.shape[1] != len(names):
         raise ValueError(f"an array of shape {array.shape} for {len(names)} names {list(names)}; "
-                         "expected (samples, names)")
+                         f"expected (samples, {len(names)})")

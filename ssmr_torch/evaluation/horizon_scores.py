@@ -1,4 +1,4 @@
-"""The errors of one model's rollouts: over one horizon, and over all that it was scored on."""
+"""Open-loop scores of one model: its rollout errors over one horizon, and over all horizons."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ BLOCK = 1.0  # s
 class HorizonScore:
     """Errors √(mean_k ‖ŷ_k − y_k‖²) of the rollouts over one horizon, m; infinite for a diverged rollout.
 
-    label: "50 ms", …, or "full"; steps: samples that are compared per rollout, duration: their length in s (the
-    longest's, for "full"). errors: (N,), one per start; output_errors: (N, outputs), the same per output.
-    skipped: number of trajectories that are too short.
-    trajectory_errors: (N,) mean_k ‖ŷ_k − y_k‖ / max ‖y‖, the largest over the whole measured trajectory, no unit.
-    run, sample: (N,) trajectory and sample of each start. short: the trajectories that are too short.
+    label: "50 ms", …, or "full". steps: samples that are compared in each rollout; duration: their length in s. For
+    "full" both are those of the longest rollout. errors: (N,), one per start; output_errors: (N, outputs), one per
+    output. skipped: number of trajectories that are too short.
+    trajectory_errors: (N,) mean_k ‖ŷ_k − y_k‖ / max ‖y‖, with the maximum over the whole measured trajectory, no unit.
+    run, sample: (N,), trajectory and sample of each start. short: the trajectories that are too short.
     """
 
     label: str
@@ -40,12 +40,12 @@ class HorizonScore:
 
     @property
     def mean(self) -> float:
-        """Mean over all starts, m; infinite when one diverged."""
+        """Mean over all starts, m; infinite if one diverged."""
         return float(self.errors.mean())
 
     @property
     def mean_of_survivors(self) -> float:
-        """Mean over the starts that did not diverge, m; infinite when all did. Quote it with `diverged`."""
+        """Mean over the starts that did not diverge, m; infinite if all diverged. Always quote it with `diverged`."""
         survivors = self.errors[np.isfinite(self.errors)]
         return float(survivors.mean()) if len(survivors) else math.inf
 
@@ -61,15 +61,15 @@ class HorizonScore:
 
     @property
     def nmte(self) -> float | None:
-        """Normalized mean trajectory error, mean over all starts, no unit; infinite when one diverged, None where it
-        was not computed.
+        """Normalized mean trajectory error, mean over all starts, no unit; infinite if one diverged, None if it was not
+        computed.
         """
         return None if self.trajectory_errors is None else float(self.trajectory_errors.mean())
 
     @property
     def blocks(self) -> np.ndarray | None:
-        """(N,) which starts belong together, as their rollouts share samples: those of one run within a second, or
-        within the horizon where that is longer. None where the starts are not known.
+        """(N,), block of each start. Starts of one run within a second, or within a longer horizon, share a block,
+        because their rollouts share samples. None if the starts are not known.
         """
         if self.run is None or self.sample is None:
             return None
@@ -78,7 +78,7 @@ class HorizonScore:
         return np.unique(np.stack([self.run, within]), axis=1, return_inverse=True)[1].reshape(-1)
 
     def of_runs(self, runs: Collection[int]) -> HorizonScore | None:
-        """The same over the starts in these trajectories alone; None where there is none."""
+        """The same score for the starts in these trajectories only; None if there are no such starts."""
         kept = np.isin(self.run, list(runs))
         if not kept.any():
             return None
@@ -88,7 +88,7 @@ class HorizonScore:
                        trajectory_errors=errors, run=self.run[kept], sample=self.sample[kept], short=short)
 
     def as_dict(self) -> dict:
-        """Plain JSON values, m and s; infinite ones are None."""
+        """Plain JSON values in m and s; infinite values become None."""
         return {"label": self.label, "steps": self.steps, "duration": self.duration,
                 "starts": len(self.errors), "skipped_trajectories": self.skipped, "diverged": self.diverged,
                 "mean": _finite_or_none(self.mean), "median": _finite_or_none(self.median),
@@ -102,8 +102,8 @@ class HorizonScore:
 class OpenLoopScore:
     """One score per horizon, the last over full trajectories; margin, seed and columns as they were given.
 
-    noise: standard deviation of what the measured windows carry, m. noisy: the score from the same starts with the
-    noise of the loop on the windows, where that was asked for.
+    noise: standard deviation, m, of the noise added to the measured windows. noisy: the score from the same starts with
+    noise on the windows, if it was computed.
     """
 
     horizons: tuple[HorizonScore, ...]
@@ -118,16 +118,16 @@ class OpenLoopScore:
         for score in self.horizons:
             if score.label == label:
                 return score
-        raise KeyError(f"no horizon {label!r}; there are {[score.label for score in self.horizons]}")
+        raise KeyError(f"there is no horizon {label!r}; the horizons are {[score.label for score in self.horizons]}")
 
     def of_runs(self, runs: Collection[int]) -> OpenLoopScore:
-        """The same over the starts in these trajectories alone, without horizons that none of them was drawn for."""
+        """The same score for the starts in these trajectories only, without horizons that have no such start."""
         parts = (part.of_runs(runs) for part in self.horizons)
         return replace(self, horizons=tuple(part for part in parts if part is not None),
                        noisy=None if self.noisy is None else self.noisy.of_runs(runs))
 
     def as_dict(self) -> dict:
-        """Plain JSON values, m and s; infinite ones are None."""
+        """Plain JSON values in m and s; infinite values become None."""
         noisy = {} if self.noisy is None else {"noisy": self.noisy.as_dict()}
         return {"unit": "m", "margin": self.margin, "seed": self.seed, "outputs": list(self.outputs),
                 "noise": self.noise, "horizons": [score.as_dict() for score in self.horizons]} | noisy

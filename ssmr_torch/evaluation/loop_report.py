@@ -1,4 +1,4 @@
-"""What is said of a closed loop together: errors, speed against the robot's own, what tuned it, how near the bounds."""
+"""Report of a run in closed loop: errors, speed relative to the robot's modes, computing time, distance to bounds."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.evaluation.metrics import SETTLING_TIME, closed_loop_metrics
 
 RESONANT = np.sqrt(0.5)  # damping ratio below which a mode has a resonance
-AT_BOUND = 1e-3          # of its range: an input nearer to a bound is at it
+AT_BOUND = 1e-3          # share of an input's range; an input nearer to a bound counts as at the bound
 
 
 class BoundMargin(NamedTuple):
-    """How near an input came to one of its bounds: the smallest distance, in its unit; share of the samples at it."""
+    """Smallest distance of an input to one of its bounds, in its unit, and the share of the samples at the bound."""
 
     input: str
     side: str
@@ -27,12 +27,12 @@ class BoundMargin(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LoopReport(DataSheet):
-    """metrics: of `closed_loop_metrics`.   share_of_reach: RMSE as a share of the reach, None where that is not known.
-    speed: of the reference, as a fraction of the first natural frequency of the model, see `reference_frequency`; None
-    where the model has no resonance.   rate: control steps per s.   minutes: of recordings that the design used, and
-    tuned: who or what tuned it; None where the controller does not tell.
-    decisions, late: control steps, and those that computed longer than the period.   counts: what the controller
-    counted, by name; None where it does not count.   margins: of every input bound, () where bounds are not known.
+    """metrics: from `closed_loop_metrics`.   share_of_reach: RMSE as a share of the reach, None if it is not known.
+    speed: frequency of the reference as a fraction of the model's first natural frequency, see `reference_frequency`;
+    None if the model has no resonance.   rate: control steps per s.   minutes: length of the recordings that the design
+    used; tuned: who or what tuned the controller; None if the controller does not state them.
+    decisions: number of control steps; late: number of those that took longer than the period.   counts: the
+    controller's counters by name; None if it has none.   margins: one per input bound; () if bounds are not known.
     """
 
     task: str
@@ -50,12 +50,12 @@ class LoopReport(DataSheet):
 
     @property
     def gated(self) -> int | None:
-        """Samples that were taken for outliers."""
+        """Number of samples that were rejected as outliers."""
         return None if self.counts is None else self.counts.get("gated", 0)
 
     @property
     def facts(self) -> dict:
-        """Plain values, as JSON has them: the metrics, and beside them all else."""
+        """Plain values for JSON: the metrics and all other fields."""
         return self.metrics | {
             "share_of_reach": self.share_of_reach, "speed": self.speed, "control_rate": self.rate,
             "minutes": self.minutes, "tuned": self.tuned, "late": self.late, "gated": self.gated,
@@ -69,9 +69,9 @@ class LoopReport(DataSheet):
         return f"Closed loop {self.task!r}", {
             "RMSE": f"{sheet.number(1e3 * found['rmse'])} mm{share}; ISE {sheet.number(1e6 * found['ise'], 4)} mm²",
             "speed of the reference": speed,
-            "control": f"{sheet.number(self.rate)} Hz; {self.late} of {self.decisions} steps later than the period",
+            "control": f"{sheet.number(self.rate)} Hz; {self.late} of {self.decisions} steps longer than the period",
             "tuned": self.tuned or "not told",
-            "recordings used": "not told" if self.minutes is None else f"{sheet.number(self.minutes)} min",
+            "recordings used": "not known" if self.minutes is None else f"{sheet.number(self.minutes)} min",
             "fallbacks": f"{found['fallbacks']:.0f} of {self.decisions} decisions",
             "gated samples": "not counted" if self.gated is None else str(self.gated),
             "counted": ", ".join(f"{count} {name}" for name, count in sorted(counted.items())) or "nothing else",
@@ -81,13 +81,14 @@ class LoopReport(DataSheet):
 
 def _distance(margin: BoundMargin, unit: str) -> str:
     if margin.share:
-        return f"held {sheet.number(100 * margin.share)} % of the time"
+        return f"at the bound {sheet.number(100 * margin.share)} % of the time"
     return f"never nearer than {sheet.number(margin.distance)} {unit}".rstrip()
 
 
 def loop_report(record, obstacles=()) -> LoopReport:
-    """The report of a `ClosedLoopRecord`; what its provenance does not tell is None. Obstacles as in
-    `closed_loop_metrics`, whose errors it raises.
+    """The report of a `ClosedLoopRecord`; values that its provenance does not contain are None.
+
+    obstacles: as in `closed_loop_metrics`. Raises the same errors as that function.
     """
     said, metrics = record.provenance, closed_loop_metrics(record, obstacles)
     times = record.solve_time[np.isfinite(record.solve_time)]
@@ -101,7 +102,7 @@ def loop_report(record, obstacles=()) -> LoopReport:
 
 
 def bound_margins(inputs: np.ndarray, bounds, names) -> tuple[BoundMargin, ...]:
-    """Of inputs (T, m) within bounds (2, m), the lowest and the highest of every input."""
+    """Margins of inputs (T, m) to bounds (2, m): to the lower and to the upper bound of every input."""
     found = []
     for name, column, (lowest, highest) in zip(names, np.asarray(inputs).T, np.asarray(bounds, dtype=np.float64).T):
         for side, distance in (("lowest", column - lowest), ("highest", highest - column)):
@@ -111,8 +112,9 @@ def bound_margins(inputs: np.ndarray, bounds, names) -> tuple[BoundMargin, ...]:
 
 
 def reference_frequency(time: np.ndarray, reference: np.ndarray) -> float:
-    """ω = √(Σ ‖ṙ‖² / Σ ‖r − r̄‖²), rad/s, of references (T, q) m after the settling time: that of a circle or a sine
-    where it is one; zero of a point.
+    """ω = √(Σ ‖ṙ‖² / Σ ‖r − r̄‖²), rad/s, of references (T, q), m, after the settling time.
+
+    For a circle or a sine it is their frequency; for a point it is zero.
     """
     time, reference = np.asarray(time), np.asarray(reference)
     if time[-1] - time[0] > 2 * SETTLING_TIME:
@@ -123,9 +125,9 @@ def reference_frequency(time: np.ndarray, reference: np.ndarray) -> float:
 
 
 def natural_frequency(rates: Iterable[complex]) -> float | None:
-    """The lowest |λ| of the resonant pairs among eigenvalues λ in 1/s, rad/s: those with a damping ratio below √½.
+    """The lowest |λ|, rad/s, of the resonant pairs among eigenvalues λ, 1/s: pairs with a damping ratio below √½.
 
-    None where there is no resonance, as of an overdamped robot.
+    None if there is no resonance, for example for an overdamped robot.
     """
     found = [abs(rate) for rate in map(complex, rates)
              if np.isfinite(rate) and abs(rate.imag) > 1e-9 and -rate.real < RESONANT * abs(rate)]

@@ -1,4 +1,4 @@
-"""Errors, constraint violations and solve times of predictions and closed loops. Arrays in, numbers out."""
+"""Errors, constraint violations and solve times of predictions and closed loops, computed from arrays."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 SETTLING_TIME = 1.0
 TIME_TOLERANCE = 1e-9
-# s between the points of a path at which obstacles are judged
+# s, time between the points of a path at which obstacles are checked
 JUDGED_EVERY = 1e-3
 
 
@@ -23,7 +23,7 @@ class SolveTimes(NamedTuple):
 
 
 class Violations(NamedTuple):
-    """ratio: share of the samples inside an obstacle; maximum: largest penetration depth, m (0 without any).
+    """ratio: share of the samples inside an obstacle; maximum: largest penetration depth, m (0 if there is none).
     """
 
     ratio: float
@@ -33,8 +33,8 @@ class Violations(NamedTuple):
 def rollout_rmse(predicted: np.ndarray, measured: np.ndarray, steps: np.ndarray | None = None) -> np.ndarray:
     """Root mean square of the error's norm over one rollout, √(1/H Σ_{k=1..H} ‖ŷ_k − y_k‖²).
 
-    predicted, measured: (..., H, p), the predicted samples k = 1, …, H only: the initial sample is known and
-    would flatter the model. steps: (...,) samples that count in each rollout, default H; those after are
+    predicted, measured: (..., H, p), only the predicted samples k = 1, …, H. The initial sample is known and would make
+    the error too small. steps: (...,), number of samples that count in each rollout, default H; later samples are
     padding. Returns (...,) in the unit of y; a prediction that is not finite gives an infinite or NaN error.
     Raises ValueError when the shapes differ, there is no sample, or `steps` is outside 1 … H.
     """
@@ -47,9 +47,10 @@ def rollout_nmte(predicted: np.ndarray, measured: np.ndarray, size: np.ndarray,
                  steps: np.ndarray | None = None) -> np.ndarray:
     """Normalized mean trajectory error of one rollout, (1/H Σ_{k=1..H} ‖ŷ_k − y_k‖) / max ‖y‖, no unit.
 
-    As in SSMLearn: the mean of the error's norm over the largest norm of the measured trajectory. size: (...,) that
-    norm, over the whole trajectory that the rollout is a part of; near rest the rollout's own would make any error
-    look large. The rest as in `rollout_rmse`. Where size is zero, the error is 0 if all is exact and else infinite.
+    As in SSMLearn: the mean of the error's norm, divided by the largest norm of the measured trajectory. size: (...,),
+    that norm over the whole trajectory to which the rollout belongs; the norm over a rollout near rest would make every
+    error look large. Other arguments as in `rollout_rmse`. If size is zero, the result is 0 for an exact prediction and
+    infinite otherwise.
     """
     squares, counted, steps = _squares(predicted, measured, steps)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -62,7 +63,7 @@ def tracking_error(time: np.ndarray, position: np.ndarray, reference: np.ndarray
     """‖e_k‖ = ‖y_k − r_k‖ over the task's axes, for the samples with t_k − t_0 ≥ settling_time.
 
     time: (T,) s; position, reference: (T, p) m; axes: columns that the task prescribes, default all. Returns
-    (K,) m. Raises ValueError when the arrays disagree, hold non-finite numbers, or end before settling_time.
+    (K,) m. Raises ValueError if the shapes differ, a number is not finite, or the run ends before settling_time.
     """
     position, reference = _same_shape(position, reference, lowest_rank=2)
     time = np.asarray(time, dtype=np.float64)
@@ -71,8 +72,8 @@ def tracking_error(time: np.ndarray, position: np.ndarray, reference: np.ndarray
     columns = slice(None) if axes is None else list(axes)
     error = np.linalg.norm(position[:, columns] - reference[:, columns], axis=-1)
     if not np.isfinite(error).all():
-        raise ValueError(f"{np.sum(~np.isfinite(error))} of {len(error)} errors are not finite, the first "
-                         f"is sample {np.argmin(np.isfinite(error))}; a broken-off run has no tracking error")
+        raise ValueError(f"{np.sum(~np.isfinite(error))} of {len(error)} tracking errors are not finite, the first at "
+                         f"sample {np.argmin(np.isfinite(error))}; a run that stopped early has no tracking error")
     counted = time - time[0] >= settling_time - TIME_TOLERANCE
     if not counted.any():
         raise ValueError(f"the run lasts {time[-1] - time[0]:.4g} s, less than the settling time of "
@@ -84,7 +85,7 @@ def integral_squared_error(time: np.ndarray, position: np.ndarray, reference: np
                            **selection) -> float:
     """ISE = Σ ‖e_k‖² over the samples with t ≥ 1 s, m²; a sum, not multiplied by the sampling time.
 
-    Arguments and errors are those of `tracking_error`. Compare runs of equal sampling time and length only.
+    Arguments and errors are those of `tracking_error`. Compare only runs with equal sampling time and length.
     """
     return float((tracking_error(time, position, reference, **selection) ** 2).sum())
 
@@ -101,10 +102,9 @@ def max_tracking_error(time: np.ndarray, position: np.ndarray, reference: np.nda
 
 
 def relative_ise(ise: float, reference_ises: Sequence[float]) -> float:
-    """(ISE / mean reference ISE − 1) · 100, in %: by how much an ISE exceeds the mean of the reference
-    method's.
+    """(ISE / mean reference ISE − 1) · 100, in %: by how much an ISE exceeds the mean ISE of the reference method.
 
-    Raises ValueError without reference runs, or when an ISE is negative or the reference's are all zero.
+    Raises ValueError without reference runs, if an ISE is negative, or if all reference ISEs are zero.
     """
     reference_ises = np.asarray(reference_ises, dtype=np.float64)
     if not (ise >= 0 and reference_ises.size and (reference_ises >= 0).all() and reference_ises.mean() > 0):
@@ -116,7 +116,7 @@ def relative_ise(ise: float, reference_ises: Sequence[float]) -> float:
 def violations(depth: np.ndarray) -> Violations:
     """Share of the samples with penetration depth > 0, and the largest depth.
 
-    depth: (T,) or (T, obstacles) m, positive inside an obstacle; a sample counts once however many it is in.
+    depth: (T,) or (T, obstacles) m, positive inside an obstacle; a sample inside several obstacles counts once.
     Raises ValueError when depth is empty in time or not finite.
     """
     depth = np.asarray(depth, dtype=np.float64)
@@ -130,7 +130,7 @@ def violations(depth: np.ndarray) -> Violations:
 def solve_times(seconds: np.ndarray, period: float) -> SolveTimes:
     """Median, 99th percentile and maximum of the solve times, and the share longer than the control period.
 
-    seconds: (K,) s; period: s. Raises ValueError when there is none, or one is negative or not finite.
+    seconds: (K,) s; period: s. Raises ValueError without values, or if one is negative or not finite.
     """
     seconds = np.asarray(seconds, dtype=np.float64)
     valid = seconds.ndim == 1 and len(seconds) > 0 and (np.isfinite(seconds) & (seconds >= 0)).all()
@@ -142,13 +142,14 @@ def solve_times(seconds: np.ndarray, period: float) -> SolveTimes:
 
 
 def resampled(time: np.ndarray, position: np.ndarray, spacing: float = JUDGED_EVERY) -> tuple[np.ndarray, np.ndarray]:
-    """Times (K,) s, `spacing` apart and the samples' own among them, and positions (K, q) m of the cubic spline there.
+    """Times (K,), s, and positions (K, q), m, of a cubic spline there. The times are `spacing` apart and include the
+    times of all samples.
 
     time (T,) s, increasing; position (T, q) m, finite. The spline passes through every sample, with continuous velocity
     and acceleration (SciPy's CubicSpline, not-a-knot). Raises ValueError for times that do not increase, or numbers
     that are not finite.
     """
-    from scipy.interpolate import CubicSpline  # a controller that reads nothing but a run needs no SciPy
+    from scipy.interpolate import CubicSpline  # imported here so that a controller needs no SciPy
 
     parts = np.maximum(np.ceil(np.diff(time) / spacing - TIME_TOLERANCE).astype(int), 1)
     between = [np.linspace(start, end, count, endpoint=False) for start, end, count in zip(time, time[1:], parts)]
@@ -157,9 +158,9 @@ def resampled(time: np.ndarray, position: np.ndarray, spacing: float = JUDGED_EV
 
 
 def obstacle_violations(time: np.ndarray, position: np.ndarray, obstacles) -> Violations:
-    """`violations` of obstacles (`clearance(time, position)`) by the path `resampled` at 1 ms: between samples too.
+    """`violations` of obstacles (`clearance(time, position)`) along the path `resampled` at 1 ms, also between samples.
 
-    time (T,) s; position (T, q) m in the tracked outputs. Raises ValueError as `resampled` does.
+    time (T,) s; position (T, q) m in the tracked outputs. Raises the errors of `resampled`.
     """
     time, position = resampled(time, position)
     return violations(-np.stack([obstacle.clearance(time, position) for obstacle in obstacles], axis=1))
@@ -168,9 +169,9 @@ def obstacle_violations(time: np.ndarray, position: np.ndarray, obstacles) -> Vi
 def closed_loop_metrics(record, obstacles=()) -> dict[str, float]:
     """ISE (m²), RMSE and largest error (m), solve times (s), and fallbacks of a `ClosedLoopRecord`.
 
-    With obstacles the share of the time inside one, and the depth (m) of the deepest, as `obstacle_violations` finds
-    them. With plans under constraints the largest violation, margins included, that one of them foresaw (m), and how
-    many steps had to soften hard constraints.
+    With obstacles also the share of the time inside one, and the largest depth (m), see `obstacle_violations`. For
+    plans under constraints also the largest violation that a plan predicted, margins included (m), and the number of
+    steps in which hard constraints had to be softened.
     """
     position = record.observation[:, list(record.tracked)]
     arguments = (record.time, position, record.reference)
@@ -189,7 +190,7 @@ def closed_loop_metrics(record, obstacles=()) -> dict[str, float]:
 
 
 def _squares(predicted: np.ndarray, measured: np.ndarray, steps: np.ndarray | None) -> tuple[np.ndarray, ...]:
-    """‖ŷ_k − y_k‖² (..., H), which of them count, and how many (...,)."""
+    """‖ŷ_k − y_k‖² (..., H), whether each of them counts, and how many count (...,)."""
     predicted, measured = _same_shape(predicted, measured, lowest_rank=2)
     horizon = predicted.shape[-2]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -204,6 +205,6 @@ def _squares(predicted: np.ndarray, measured: np.ndarray, steps: np.ndarray | No
 def _same_shape(first: np.ndarray, second: np.ndarray, lowest_rank: int) -> tuple[np.ndarray, np.ndarray]:
     first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     if first.shape != second.shape or first.ndim < lowest_rank or first.size == 0:
-        raise ValueError(f"the two have shapes {first.shape} and {second.shape}; "
-                         "expected the same (..., samples, outputs), with at least one sample")
+        raise ValueError(f"the two arrays have shapes {first.shape} and {second.shape}; "
+                         "expected the same shape (..., samples, outputs), with at least one sample")
     return first, second

@@ -1,4 +1,4 @@
-"""How far models predict: rollouts from many measured starts, every model and baseline from the same ones.
+"""Open-loop scores: rollouts from many measured starts, with the same starts for every model and baseline.
 
 Trajectories ─draw starts→ windows and inputs ─predict→ ŷ_1, …, ŷ_H ─against what was measured→ OpenLoopScore
 """
@@ -25,22 +25,22 @@ SAMPLES_PER_BLOCK = 1 << 16
 def score_open_loop(model, trajectories: Iterable, *, horizons: Sequence[float] = HORIZONS,
                     starts: int = 500, seed: int = 0, margin: int | None = None,
                     outputs: Sequence[int] | None = None, noise: float | None = None) -> OpenLoopScore:
-    """Roll the model out from measured starts and compare with what was measured.
+    """Roll the model out from measured starts, and compare the predictions with the measurement.
 
         error of a start = √(1/H Σ_{k=1..H} ‖ŷ_k − y_k‖²) over the columns `outputs` (default all), m
 
-    model: a `Model`, who offers one (`reduced`: a Torch module, a trained model), or a `Predictor`. horizons: s.
-    Per horizon, `starts` different samples (all, where there are fewer) are drawn uniformly over those with
-    `margin` samples before them (default: what the window needs, at least 1) and the horizon after them in
-    their trajectory; the draw depends on seed, margin and trajectories, not on the model. "full" is one
-    rollout per trajectory, from sample `margin` to the end. k counts samples of the recording for every model: one
-    that steps by several sees the mean input over each step, and its outputs are interpolated linearly in between,
-    from the decoded initial state on (`predictors.at_every_sample`).
-    noise: standard deviation, m, of white noise on the windows that rollouts start from, as a loop measures them; the
-    score with it is `noisy` of the one without, from the same starts, and both are compared with the clean outputs.
-    A rollout has diverged when the model says so, a prediction is not finite, or ‖ŷ‖ over all
-    outputs exceeds 10 times the largest measured ‖y‖. Raises ValueError when timesteps or columns do not
-    match, no trajectory is long enough, or the noise is no positive number.
+    model: a `Model`, an object with a model as its `reduced` (a Torch module, a trained model), or a `Predictor`.
+    horizons: s. For each horizon, `starts` different samples are drawn at random, or all if there are fewer. A start
+    has `margin` samples before it (default: as many as the window needs, at least 1) and the horizon after it in its
+    trajectory. The draw depends on seed, margin and trajectories, not on the model. "full" is one rollout per
+    trajectory, from sample `margin` to the end. k counts samples of the recording for every model. If a step of the
+    model covers several samples, it takes the mean input over the step, and its outputs are interpolated linearly in
+    between, beginning with the decoded initial state (`predictors.at_every_sample`).
+    noise: standard deviation, m, of white noise added to the windows at the starts, as in closed loop. The score with
+    noise is the field `noisy` of the score without it. Both use the same starts and are compared with the clean
+    outputs. A rollout has diverged if the model says so, if a prediction is not finite, or if ‖ŷ‖ over all outputs
+    exceeds 10 times the largest measured ‖y‖. Raises ValueError if timesteps or columns do not match, if no trajectory
+    is long enough, or if noise is not positive.
     """
     if noise is not None and not (math.isfinite(noise) and noise > 0):
         raise ValueError(f"noise is {noise} m; expected a positive standard deviation, or None for windows as measured")
@@ -56,14 +56,12 @@ def score_open_loop(model, trajectories: Iterable, *, horizons: Sequence[float] 
 
 def score_horizons(forecaster: Forecaster, horizons: Sequence[float], *, starts: int = 500, seed: int = 0,
                    margin: int | None = None, outputs: Sequence[int] | None = None) -> tuple[HorizonScore, ...]:
-    """The scores over `horizons` alone, for what is scored again and again; options and errors are those of
-    `score_open_loop`.
-    """
+    """Only the scores over `horizons`, for repeated scoring. Options and errors are those of `score_open_loop`."""
     if not horizons:
         raise ValueError("no horizons were given; expected at least one, in s")
     margin = forecaster.margin if margin is None else margin
     if margin < forecaster.margin:
-        raise ValueError(f"margin is {margin} samples, but the model needs {forecaster.margin} before a start "
+        raise ValueError(f"margin is {margin} samples, but the model needs {forecaster.margin} samples before a start "
                          f"({forecaster.predictor.delays} delays of {forecaster.window_stride} samples)")
     columns = _columns(outputs, forecaster.recording.observation.shape[1])
     return tuple(_score_horizon(forecaster, horizon, starts, seed, margin, columns) for horizon in horizons)
@@ -71,14 +69,14 @@ def score_horizons(forecaster: Forecaster, horizons: Sequence[float], *, starts:
 
 def compare_open_loop(models: Mapping[str, object], trajectories: Iterable, *, margin: int | None = None,
                       **options) -> dict[str, OpenLoopScore]:
-    """Scores of all models and both baselines from the same starts at the same instants; options and errors are those
-    of `score_open_loop`.
+    """Scores of all models and both baselines, from the same starts and at the same instants.
 
-    The common margin is what the longest window needs, unless a larger one is given.
+    The common margin is that of the longest window, unless a larger one is given. Options and errors are those of
+    `score_open_loop`.
     """
     clash = sorted(set(models) & set(BASELINES))
     if clash:
-        raise ValueError(f"models named {clash}; the baselines have these names, choose others")
+        raise ValueError(f"models are named {clash}, but these are names of the baselines; choose other names")
     runs = [trajectory.read() for trajectory in trajectories]
     if margin is None:
         margin = common_margin(models, runs)
@@ -116,14 +114,14 @@ def _score_full(forecaster: Forecaster, margin: int, columns: np.ndarray) -> Hor
     steps = lengths - 1 - margin
     owner = np.flatnonzero(steps >= 1)
     if not len(owner):
-        raise ValueError(f"the longest trajectory has {lengths.max()} samples; a full rollout "
-                         f"needs {margin} before its start and 1 after")
+        raise ValueError(f"the longest trajectory has {lengths.max()} samples; a full rollout needs {margin + 2}: "
+                         f"{margin} before its start, the start, and 1 after it")
     return _rolled_out(forecaster, "full", owner, np.full(len(owner), margin), steps[owner], columns, margin + 1)
 
 
 def _rolled_out(forecaster: Forecaster, label: str, owner: np.ndarray, sample: np.ndarray, steps: np.ndarray,
                 columns: np.ndarray, needed: int) -> HorizonScore:
-    """The score of these starts; trajectories of up to `needed` samples are too short for one."""
+    """The score of these starts. Trajectories of up to `needed` samples count as too short."""
     recording, longest = forecaster.recording, int(steps.max())
     short = tuple(np.flatnonzero(recording.lengths <= needed).tolist())
     errors, output_errors, trajectory_errors = _errors(forecaster, owner, sample, steps, columns)
@@ -133,8 +131,9 @@ def _rolled_out(forecaster: Forecaster, label: str, owner: np.ndarray, sample: n
 
 def _errors(forecaster: Forecaster, owner: np.ndarray, sample: np.ndarray, steps: np.ndarray,
             columns: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Error (N,), error per output (N, outputs) and normalized mean trajectory error (N,) of every start, in blocks so
-    that memory stays bounded.
+    """Error (N,), error per output (N, outputs) and normalized mean trajectory error (N,) of every start.
+
+    They are computed in blocks, to limit the memory.
     """
     recording = forecaster.recording
     bound = DIVERGENCE_FACTOR * np.linalg.norm(recording.observation, axis=-1).max()

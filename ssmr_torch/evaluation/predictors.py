@@ -1,4 +1,4 @@
-"""Models and baselines behind one NumPy function, so that one score serves them all."""
+"""`Predictor`: one NumPy interface for models and baselines, so that all are scored by the same code."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 
 from ssmr_torch.models.batch_rollout import BatchRollout, batch_of
 
-FEW = 4000  # steps of all rollouts, which take less time than loading what is compiled
+FEW = 4000  # steps of all rollouts; fewer take less time than loading the compiled code
 
 
 @dataclass(frozen=True)
 class Predictor:
-    """What is scored: (ŷ_1, …, ŷ_H) = predict(window, window_inputs, inputs), NumPy arrays in and out.
+    """A function that can be scored: (ŷ_1, …, ŷ_H) = predict(window, window_inputs, inputs), with NumPy arrays.
 
     window: (N, n_d + 1, p), oldest sample first, `window_timestep` s apart, m; window_inputs: (N, n_d, m),
     held from each sample of the window to the next; inputs: (N, H, m), held one `timestep` (s) each.
-    Returns (N, H, p), m, infinite from where the model itself calls the rollout diverged.
-    output_dim, input_dim: None where any number will do. initial: the predictor's own y_0 (N, p), m, of window and
-    window_inputs; None: the newest sample of the window.
+    Returns (N, H, p), m, infinite from the step at which the rollout diverged.
+    output_dim, input_dim: None if any number is possible. initial: function of window and window_inputs that returns
+    the predictor's own y_0 (N, p), m; None: the newest sample of the window.
     """
 
     predict: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -34,8 +34,8 @@ class Predictor:
 
 
 def model_predictor(model) -> Predictor:
-    """A `Model`, or what has one as its `reduced`, in NumPy, for many steps compiled where its family is; samples from
-    `diverged_at` on are infinite.
+    """Predictor of a `Model`, or of an object with a model as its `reduced`, in NumPy; compiled, if it can be, for many
+    steps. Samples from `diverged_at` on are infinite.
     """
     plain = BatchRollout(model)
     reduced, compiled = plain.model, cache(lambda: batch_of(model))
@@ -53,12 +53,13 @@ def model_predictor(model) -> Predictor:
 
 
 def at_every_sample(predictor: Predictor, stride: int) -> Predictor:
-    """The same at `stride` instants per step, so that models of any step are seen at the same ones.
+    """The same predictor with outputs at `stride` instants per step, so that models with different steps are compared
+    at the same instants.
 
         ŷ_{k stride + j} = (1 − j / stride) ŷ_k + (j / stride) ŷ_{k + 1},   ŷ_0 decoded from the initial state
 
-    Inputs are held one instant each; a step sees their mean, and of a last one that is not whole the newest input is
-    held to its end. Outputs are infinite from the step on in which the rollout diverges.
+    Each input is held for one instant, and a step takes their mean. If the last step is not complete, the newest input
+    is held to its end. Outputs are infinite from the step in which the rollout diverges.
     """
     if stride == 1:
         return predictor
@@ -76,7 +77,9 @@ def at_every_sample(predictor: Predictor, stride: int) -> Predictor:
 
 
 def _between(knots: np.ndarray, stride: int) -> np.ndarray:
-    """Outputs (N, S + 1, p) every `stride` instants as (N, S · stride, p) at all that follow the first, linearly."""
+    """Linear interpolation of outputs (N, S + 1, p), `stride` instants apart, at all instants after the first:
+    (N, S · stride, p).
+    """
     share = np.tile(np.arange(1, stride + 1) / stride, knots.shape[1] - 1)[:, None]
     low, high = (np.repeat(array, stride, axis=1) for array in (knots[:, :-1], knots[:, 1:]))
     with np.errstate(invalid="ignore", over="ignore"):
@@ -104,5 +107,5 @@ BASELINES = {"persistence": persistence, "constant velocity": constant_velocity}
 
 
 def as_predictor(model) -> Predictor:
-    """A `Predictor` as it is; a model, of NumPy or Torch, behind one."""
+    """A `Predictor` unchanged; the predictor of a model with NumPy or Torch arrays."""
     return model if isinstance(model, Predictor) else model_predictor(model)

@@ -1,4 +1,4 @@
-"""The figure of a check of recordings: one panel per subject that has a curve."""
+"""Figure of the recording checks: one panel for each subject that has a curve."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from matplotlib.ticker import MaxNLocator
 
 from ssmr_torch.evaluation.figures import MM, MS, WIDTH, panels, save, styled
 
-COLOURS = {"good": "#117733", "look here": "#C46A00", "missing": "#B2182B", "cannot be told": "#777777"}
+COLOURS = {"good": "#117733", "warning": "#C46A00", "missing": "#B2182B", "unknown": "#777777"}
 INK, TRAINING, TEST = "#0072B2", "#9A9A9A", "#0072B2"
 MOST_POINTS = 4000
 
 
 def save_all(findings: Sequence, directory: str | Path, output_names: Sequence[str]) -> list[Path]:
-    """The figure as directory/recordings.svg."""
+    """Write the figure as directory/recordings.svg."""
     return [save(recordings(findings, output_names), Path(directory) / "recordings.svg")]
 
 
 @styled
 def recordings(findings: Sequence, output_names: Sequence[str]) -> Figure:
-    """Decays, range, dither, sampling, delay and drift, each under its severity; an empty panel says what is lacking.
+    """Panels for decays, range, dither, sampling, delay and drift, each with its severity in the title.
 
-    findings: of `ssmr_torch.recordings`, with `subject`, `severity`, `numbers` and `curves`. The range is shown for the
-    output that moves most.
+    findings: with `subject`, `severity`, `numbers` and `curves`, see `recording_checks.finding`. The range is shown for
+    the output that moves most.
     """
     figure, grid = panels(WIDTH, 4.4, 2, 3)
     by_subject = {finding.subject: finding for finding in findings}
@@ -89,7 +89,7 @@ def _delay(axes: Axes, finding, output_names) -> None:
     axes.step(lags, residual, where="mid", color=INK)
     if finding.numbers.get("samples") is not None:
         axes.axvline(MS * finding.numbers["delay_s"], color="black", linestyle="--", linewidth=0.9)
-    axes.set(xlabel="inputs known up to … before (ms)", ylabel="unexplained motion (–)")
+    axes.set(xlabel="inputs used up to this time before (ms)", ylabel="unexplained motion (–)")
     axes.margins(y=0.15)
 
 

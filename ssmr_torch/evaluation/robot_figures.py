@@ -1,4 +1,4 @@
-"""Stills and animations of a deforming robot: its surface, its tip's path, the reference. SI in; mm on the axes."""
+"""Stills and animations of a deforming robot: its surface, the path of its tip, and the reference; axes in mm."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from ssmr_torch.evaluation.figures import METHODS, MM, WIDTH, colours, panels, s
 AXES = ("x", "y", "z")
 SHADOW, LIT = np.array([0.25, 0.31, 0.38]), np.array([0.93, 0.91, 0.87])
 REST, SHEET = "#DDDDDD", "#DCEEF9"
-# right, up, towards the viewer: over the viewer's left shoulder, wherever the camera is
+# direction of the light (right, up, towards the viewer): from behind the viewer's left shoulder, for every camera
 LIGHT = np.array([-0.45, 0.60, 0.66])
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A viewer infinitely far away, so that one scale bar holds for the whole picture.
+    """A viewer at infinite distance, so that one scale bar is valid for the whole picture.
 
     elevation: degrees above the horizontal plane, below it when negative.   azimuth: degrees about `up`, from the
     next axis in x → y → z → x.   up: the axis that points up in the picture, "+x" to "-z".
-    Raises ValueError when an angle is not finite or there is no such axis.
+    Raises ValueError if an angle is not finite, or for an unknown axis.
     """
 
     elevation: float = 30.0
@@ -55,7 +55,7 @@ class Camera:
 
 
 STANDING = Camera()
-# from below: only there is a letter written in x and y neither mirrored nor behind the robot
+# from below, because from there a letter written in x and y is neither mirrored nor behind the robot
 HANGING = Camera(elevation=-24.0, azimuth=-72.0, up="-z")
 
 
@@ -63,13 +63,13 @@ HANGING = Camera(elevation=-24.0, azimuth=-72.0, up="-z")
 def robot_stills(shapes: np.ndarray, triangles: np.ndarray, times: np.ndarray, tip_path: np.ndarray,
                  reference: np.ndarray | None = None, *, tip_times: np.ndarray, rest: np.ndarray | None = None,
                  camera: Camera = STANDING, plane: Sequence[int] | None = None, name: str = "SSMR") -> Figure:
-    """The robot at K instants side by side, each with its tip's path so far and the whole reference.
+    """The robot at K instants side by side, each with the path of its tip so far and the whole reference.
 
     shapes: (K, N, 3) m, the nodes; triangles: (F, 3) nodes of the surface; times: (K,) s, ascending.
     tip_path: (T, 3) m at tip_times (T,) s, which contain the instants; reference: (T', 3) m; rest: (N, 3) m, drawn
-    as a pale silhouette. All positions absolute.   plane: the two axes that the reference lives in, for a second row
-    that looks straight at them.   name: who steers, for colour and legend.
-    Raises ValueError when sizes differ, a value is not finite or an instant is outside the path.
+    as a pale silhouette. All positions are absolute.   plane: the two axes of the reference; a second row then shows
+    this plane from the front.   name: name of the controlling model, for colour and legend.
+    Raises ValueError if sizes differ, a value is not finite, or an instant is outside the path.
     """
     motion = _Motion(shapes, triangles, times, tip_path, tip_times, reference, rest, plane)
     count, label, gap = len(motion.times), 0.45, 0.12
@@ -102,13 +102,13 @@ def robot_animation(path: str | Path, shapes: np.ndarray, triangles: np.ndarray,
     """Write the robot's motion as an animated .gif, one frame per shape; arguments are those of `robot_stills`.
 
     rate: frames per second; instants 1/rate s apart play in real time.   The file appears only when it is complete.
-    Raises ValueError as `robot_stills` does, and for another kind of file or a rate that a GIF cannot have.
+    Raises the errors of `robot_stills`, and ValueError for another kind of file or a rate that a GIF cannot have.
     """
     path = Path(path)
     if path.suffix != ".gif":
         raise ValueError(f"cannot write an animation as {path.name!r}; expected a name ending in .gif")
     if not 1.0 <= rate <= 50.0:
-        raise ValueError(f"{rate} frames per second; expected 1 to 50, what a GIF can show: leave out shapes")
+        raise ValueError(f"{rate} frames per second; a GIF can show 1 to 50: use fewer shapes and a lower rate")
     motion = _Motion(shapes, triangles, times, tip_path, tip_times, reference, rest, plane)
     stage = motion.everything @ camera.frame[:2].T
     height = _height(stage, 2.8, 3.6)
@@ -119,7 +119,8 @@ def robot_animation(path: str | Path, shapes: np.ndarray, triangles: np.ndarray,
     figure, grid = panels(*size, 1, len(widths), width_ratios=widths, squeeze=False)
     views = _views(grid[0], motion, camera.frame, name, height / np.array(widths), leftmost=True)
     title = grid[0, 0].set_title(f"{motion.times[-1]:.2f} s")
-    # once, as panels laid out anew for every frame tremble; twice, as the first layout measures panels out of place
+    # the layout is computed only once, because otherwise the panels move from frame to frame. It is computed twice
+    # here, because the first pass measures the panels at wrong positions
     figure.draw_without_rendering()
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
@@ -137,7 +138,7 @@ def robot_animation(path: str | Path, shapes: np.ndarray, triangles: np.ndarray,
 
 
 class _Motion:
-    """What is drawn, checked; positions in mm, times in s."""
+    """The checked arguments; positions in mm, times in s."""
 
     def __init__(self, shapes, triangles, times, tip_path, tip_times, reference, rest, plane):
         self.shapes, self.tip_path = _positions("shapes", shapes, 3), _positions("tip_path", tip_path, 2)
@@ -151,15 +152,15 @@ class _Motion:
             raise ValueError(f"triangles are {self.triangles.dtype} of shape {self.triangles.shape}; "
                              "expected (F, 3) whole numbers, the nodes of each")
         if self.triangles.min() < 0 or self.triangles.max() >= nodes:
-            raise ValueError(f"triangles join the nodes {self.triangles.min()} to {self.triangles.max()}, "
-                             f"the shapes have 0 to {nodes - 1}; give both from one mesh")
+            raise ValueError(f"triangles use the nodes {self.triangles.min()} to {self.triangles.max()}, but the "
+                             f"shapes have the nodes 0 to {nodes - 1}; give both from one mesh")
         if self.rest is not None and len(self.rest) != nodes:
-            raise ValueError(f"rest has {len(self.rest)} nodes, the shapes {nodes}; give both from one mesh")
+            raise ValueError(f"rest has {len(self.rest)} nodes, but the shapes have {nodes}; give both from one mesh")
         if self.times[0] < self.tip_times[0] or self.times[-1] > self.tip_times[-1]:
-            raise ValueError(f"instants from {self.times[0]:g} to {self.times[-1]:g} s, tip_path from "
+            raise ValueError(f"the instants are {self.times[0]:g} to {self.times[-1]:g} s, but tip_path covers only "
                              f"{self.tip_times[0]:g} to {self.tip_times[-1]:g} s; give the path of the same run")
         if plane is not None and (len(self.plane) != 2 or len({*self.plane} & {0, 1, 2}) != 2):
-            raise ValueError(f"plane is {plane}; expected two of the axes 0, 1, 2, as (0, 1) for x and y")
+            raise ValueError(f"plane is {plane}; expected two of the axes 0, 1, 2, for example (0, 1) for x and y")
 
     @property
     def drawn(self) -> np.ndarray:
@@ -179,7 +180,7 @@ class _Motion:
 
 
 class _View:
-    """One panel's artists: the path so far and its tip under the reference, over the surface where that is drawn."""
+    """The artists of one panel: the path so far with its tip, the reference, and the surface if it is drawn."""
 
     def __init__(self, axes: Axes, motion: _Motion, frame: np.ndarray, name: str, surface: bool):
         self.motion, self.frame = motion, frame
@@ -202,14 +203,15 @@ class _View:
         self.tip.set_data(*path[:, -1:])
         if self.surface is not None:
             faces = (self.motion.shapes[index] @ self.frame.T)[self.motion.triangles]
-            # painter's order: what is near covers what is far
+            # the faces are drawn from far to near, so that near faces cover far ones
             faces = faces[np.argsort(faces[..., 2].mean(axis=1), kind="stable")]
             self.surface.set(verts=faces[..., :2], color=_shade(faces))
 
 
 def _views(panel_axes: Sequence[Axes], motion: _Motion, frame: np.ndarray, name: str, ratios: np.ndarray,
            leftmost: bool) -> list[_View]:
-    """The robot in the first of the axes and the plane in the second, if any; ratios: height to width of each."""
+    """Views of the robot in the first axes, and of the plane in the second, if there are two. ratios: height / width.
+    """
     stage, *flat = panel_axes
     _limit(stage, motion.everything @ frame[:2].T, ratios[0])
     stage.set_axis_off()
@@ -231,17 +233,18 @@ def _views(panel_axes: Sequence[Axes], motion: _Motion, frame: np.ndarray, name:
 
 
 def _shade(faces: np.ndarray) -> np.ndarray:
-    """(F, 3, 3) right, up, towards the viewer → (F, 3) colours: matt, darker away from the light and the viewer."""
+    """Colours (F, 3) of faces (F, 3, 3) in the viewer's frame: matt, and darker if they face away from light or viewer.
+    """
     normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    # the order of a triangle's nodes need not tell inside from outside, but what is seen is outside
+    # the node order of a triangle does not say which side is outside, but the visible side always is
     normals *= np.where(normals[:, 2:] < 0.0, -1.0, 1.0)
     brightness = (0.5 + 0.5 * normals @ LIGHT / np.linalg.norm(LIGHT)) * (0.65 + 0.35 * normals[:, 2])
     return SHADOW + brightness[:, None] * (LIT - SHADOW)
 
 
 def _draw_sheet(axes: Axes, motion: _Motion, frame: np.ndarray) -> None:
-    """The plane as a sheet of paper that the tip writes on, behind the robot or before it as the viewer sees it."""
+    """Draw the plane as a sheet on which the tip writes, behind or in front of the robot as the viewer sees it."""
     drawn = motion.reference if len(motion.reference) else motion.tip_path
     normal = 3 - sum(motion.plane)
     margin = 0.2 * np.ptp(drawn[:, motion.plane], axis=0).max()
@@ -264,7 +267,7 @@ def _draw_scale_bar(axes: Axes) -> None:
 
 
 def _draw_compass(axes: Axes, frame: np.ndarray) -> None:
-    """The three axes as the viewer sees them; one that points at the viewer is left out."""
+    """Draw the three axes as the viewer sees them; an axis that points at the viewer is left out."""
     corner = {"xy": (0.01, 0.95), "xycoords": "axes fraction", "textcoords": "offset points"}
     arrowhead = {"arrowstyle": "<-", "linewidth": 0.7, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 5}
     for letter, arrow in zip(AXES, 13.0 * frame[:2].T):
@@ -274,13 +277,13 @@ def _draw_compass(axes: Axes, frame: np.ndarray) -> None:
 
 
 def _height(points: np.ndarray, width: float, most: float) -> float:
-    """inches: of a panel of that width that shows the points (·, 2) with equal scales."""
+    """Height in inches of a panel of this width that shows the points (·, 2) with equal scales, at most `most`."""
     span = np.ptp(points, axis=0)
     return float(np.clip(width * span[1] / max(span[0], 1e-9), 0.6 * width, most))
 
 
 def _limit(axes: Axes, points: np.ndarray, ratio: float) -> None:
-    """Limits of equal scale around the points (·, 2), whose height has that ratio to their width."""
+    """Set limits of equal scale around the points (·, 2), with this ratio of height to width."""
     low, high = points.min(axis=0), points.max(axis=0)
     span = 1.06 * max(*(high - low) / (1.0, ratio), 1e-3) * np.array([1.0, ratio])
     xlim, ylim = np.stack([low + high - span, low + high + span], axis=1) / 2
@@ -288,7 +291,7 @@ def _limit(axes: Axes, points: np.ndarray, ratio: float) -> None:
 
 
 def _positions(what: str, given, dimensions: int) -> np.ndarray:
-    """m → mm. Raises ValueError for another shape or a value that is not finite."""
+    """Positions in mm from positions in m. Raises ValueError for another shape or a value that is not finite."""
     positions = np.asarray(given, dtype=np.float64)
     if positions.ndim != dimensions or positions.shape[-1] != 3 or positions.size == 0:
         raise ValueError(f"{what} has shape {positions.shape}; expected {('(·, 3)', '(K, N, 3)')[dimensions - 2]} m")
@@ -301,8 +304,8 @@ def _positions(what: str, given, dimensions: int) -> np.ndarray:
 def _ascending(what: str, given, count: int, of: str) -> np.ndarray:
     times = np.asarray(given, dtype=np.float64)
     if times.shape != (count,):
-        raise ValueError(f"{what} has shape {times.shape} for {count} {of}; expected ({count},): one each")
+        raise ValueError(f"{what} has shape {times.shape} for {count} {of}; expected ({count},), one for each")
     if not (np.isfinite(times).all() and (np.diff(times) > 0.0).all()):
-        raise ValueError(f"{what} do not ascend from {times[0]:g} to {times[-1]:g}; "
-                         "expected finite seconds, each after the one before")
+        raise ValueError(f"{what} from {times[0]:g} to {times[-1]:g} s are not ascending; "
+                         "expected finite times, each later than the one before")
     return times

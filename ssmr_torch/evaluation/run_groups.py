@@ -1,7 +1,7 @@
-"""Runs of one kind scored together, those of different kinds apart.
+"""Scores by groups of runs: runs of one kind are scored together, and different kinds separately.
 
-Decays, smooth inputs and inputs as an MPC makes them ask for different things of a model, and a mean over all of them
-is a mean of what was recorded most.
+Decays, smooth inputs and inputs of an MPC make different demands on a model. A mean over all runs would mainly show the
+kind that was recorded most.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ FIRST = ("controlled", "decay", "static")
 
 @dataclass(frozen=True)
 class GroupedScores:
-    """scores: of all models and both baselines over all controlled runs; where there are none, over the decays.
+    """scores: scores of all models and both baselines over all controlled runs, or over the decays if there are none.
 
-    groups: the same by group of runs, see `group_of`, and "all controlled" where these are several; sizes: runs in
-    each, size: those behind `scores`. left_out: kinds of runs that no horizon fits into.
+    groups: the same by group of runs, see `group_of`, and "all controlled" if there are several groups of them. sizes:
+    number of runs in each group; size: number of runs in `scores`. left_out: kinds of runs that are shorter than every
+    horizon.
     """
 
     scores: Mapping[str, OpenLoopScore]
@@ -35,7 +36,7 @@ class GroupedScores:
 
 
 def group_of(run) -> str:
-    """What a run is scored with: "decays", "static", or of a controlled run its name without the counter at its end.
+    """Group of a run: "decays", "static", or for a controlled run its name without the number at its end.
 
     >>> from types import SimpleNamespace as Run
     >>> print(*(group_of(Run(kind=kind, name=name)) for kind, name in (
@@ -47,11 +48,11 @@ def group_of(run) -> str:
 
 def compare_groups(models: Mapping[str, object], runs: Iterable, *, horizons: Sequence[float] = HORIZONS,
                    margin: int | None = None, **options) -> GroupedScores:
-    """`compare_open_loop` over the controlled runs, and over the decays by themselves; then each group of them.
+    """`compare_open_loop` over the controlled runs and, separately, over the decays; then split into groups.
 
-    Each kind of runs has starts of its own, as many as are asked for; a group has those that lie in its runs.
-    Options and errors are those of `compare_open_loop`. The first kind that there is must hold every horizon; of the
-    others, horizons that are too long are left out.
+    Each kind of runs has its own starts, as many as requested; a group has the starts that lie in its runs.
+    Options and errors are those of `compare_open_loop`. The first kind must be long enough for every horizon; for other
+    kinds, horizons that are too long are left out.
     """
     runs = [run.read() for run in runs]
     needed = common_margin(models, runs)
@@ -75,7 +76,7 @@ def compare_groups(models: Mapping[str, object], runs: Iterable, *, horizons: Se
 
 
 def _split(scores: Mapping[str, OpenLoopScore], runs: Sequence) -> dict[str, tuple[dict[str, OpenLoopScore], int]]:
-    """The scores of each group of runs that any start lies in, and how many runs it has."""
+    """The scores and the number of runs of each group that contains a start."""
     members: dict[str, list[int]] = {}
     for number, run in enumerate(runs):
         members.setdefault(group_of(run), []).append(number)

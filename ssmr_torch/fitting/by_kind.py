@@ -1,4 +1,4 @@
-"""A model by its kind: what `ssmr train model=KIND` does, on a dataset in memory and without files."""
+"""`fit`: fits a model of a given kind as `ssmr train model=KIND` does, on a dataset in memory and without files."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name
         **options) -> TrainedModel:
     """Fit a model to the training runs of a dataset, exactly as `ssmr train model=KIND` does, and score it.
 
-    kind: a name of conf/model: "auto", a slow-fast model whose form is chosen from the training runs alone, see
-    `SelectionSettings` for its options; "ssmr" (spectral submanifold), "sssr" (its linear counterpart), "dmd", "edmd",
+    kind: a name of conf/model: "auto", a slow-fast model whose form is chosen from the training runs only (its options:
+    `SelectionSettings`); "ssmr" (spectral submanifold), "sssr" (its linear counterpart), "dmd", "edmd",
     "edmd_bilinear", "ssmr_control_augmented", "neural_ode", "tpwl", …; None: "auto".
-    options: keys of the configuration with their values, by their last name where it is one of a kind (state_dim=8,
-    transient=0.2 s, ridge=1e-6) or by the whole one, **{"fit.refinement.epochs": 0}; and fit, derivative, plant,
-    experiment, which choose one of conf/.  seed: of all that is drawn. name: in tables; by default that of the kind.
-    directory: keeps the checkpoints and model.ckpt as the command does; None: no file is written.
-    config_dir: folder of groups of your own, as of the command's --config-dir; kinds are then its model/*.yaml, too.
-    progress: bars and a sentence on what was found; None: bars only where a refinement takes longer; False: silence.
+    options: keys of the configuration with their values. A key is named by its last part if only one key ends so
+    (state_dim=8, transient=0.2 s, ridge=1e-6), or by its full name, **{"fit.refinement.epochs": 0}. fit, derivative,
+    plant, experiment, choose a file of conf/. seed: for all random numbers. name: shown in tables; default: the kind.
+    directory: where the checkpoints and model.ckpt are written, as by the command; None: no file is written.
+    config_dir: folder of your own configurations, like the command's --config-dir; its model/*.yaml are kinds as well.
+    progress: True: progress bars and a summary; None: a summary, and bars only for a refinement; False: no output.
 
-    Returns a `TrainedModel`. Raises TypeError for an option that does not exist, with the nearest one, ValueError for
-    data or values that cannot be fitted, before any work.
+    Returns a `TrainedModel`. Raises TypeError for an option that does not exist and names the nearest one. Raises
+    ValueError for data or values that cannot be fitted, before any work.
 
-    >>> model = fit(data, "dmd", delays=1, progress=False)                                    # of an oscillator
+    >>> model = fit(data, "dmd", delays=1, progress=False)                             # data of an oscillator
     >>> window, inputs = data[-1].observation[:2], data[-1].input[1:4]
     >>> model.predict(window, inputs, past_inputs=data[-1].input[:1]).shape
     (3, 2)
@@ -75,14 +75,14 @@ def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name
 
 def _trained(kind: str, config, data: TrajectoryDataset, directory: Path,
              progress: bool | None) -> tuple[Training, dict]:
-    """The training, and what an artifact's card says of it."""
+    """The training, and its entries for the model card of an artifact."""
     dataset = data.observing(config.outputs)
     plain = configuration.plain(config, without=("data", "logger"))
     made = provenance(plain) | {"name": config.name, "kind": kind}
     build = configuration.built(config.trainer)
 
     def trainer(**settings):
-        # a closed form is over in a moment; a refinement validates after every epoch
+        # a closed-form fit takes a moment and needs no bar; a refinement validates after every epoch
         refines = settings["check_val_every_n_epoch"] == 1
         return build(**settings, enable_progress_bar=bool(progress) or progress is None and refines)
 
@@ -94,7 +94,7 @@ def _trained(kind: str, config, data: TrajectoryDataset, directory: Path,
 
 
 def _kind(kind: str | None, config_dir: str | Path | None) -> tuple[str, str]:
-    """The kind, and what is to be said of the choice. Raises ValueError for one that no folder has."""
+    """The kind, and a sentence about the choice. Raises ValueError for a kind that no folder has."""
     if kind is None:
         return "auto", ""
     refuse_unknown_kind(kind, config_dir)
@@ -102,12 +102,12 @@ def _kind(kind: str | None, config_dir: str | Path | None) -> tuple[str, str]:
 
 
 def refuse_unknown_kind(kind: str, config_dir: str | Path | None = None) -> None:
-    """Raises ValueError, with the nearest one, for a kind of model that no folder of configurations has."""
+    """Raises ValueError for a kind of model that no configuration folder has, and names the nearest one."""
     _check_choice("kind of model", kind, "model", config_dir)
 
 
 def _check_choice(what: str, choice, group: str, config_dir: str | Path | None) -> None:
-    """Raises ValueError, with the nearest one, for a choice of a group of configurations that no folder has."""
+    """Raises ValueError for a configuration file that no folder has in this group, and names the nearest one."""
     folders = [configuration.folder(), *([] if config_dir is None else [Path(config_dir)])]
     known = sorted({path.stem for folder in folders for path in (folder / group).glob("*.yaml")})
     if choice not in known:
@@ -116,7 +116,7 @@ def _check_choice(what: str, choice, group: str, config_dir: str | Path | None) 
 
 
 def _plain(value):
-    """A value as YAML could hold it: no NumPy, no tuples."""
+    """A value with the types of YAML: NumPy values and tuples are converted."""
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
     if isinstance(value, (tuple, list)):
@@ -125,7 +125,7 @@ def _plain(value):
 
 
 def _sentence(training: Training, card: dict) -> str:
-    """One line on what was found, and one for each warning of the fit."""
+    """One line about the fitted model, and one for each warning of the fit."""
     part = "test" if "test/rmse" in training.scores else "validation"
     score = training.scores.get(f"{part}/rmse")
     error = "" if score is None else f", {part} RMSE {1e3 * score:.3g} mm"
@@ -133,14 +133,14 @@ def _sentence(training: Training, card: dict) -> str:
     lines = [f"{card['name']}: {cost['state_dim']:.0f} states, {cost['parameters']:.0f} parameters from "
              f"{cost['decays']:.0f} decays and {cost['controlled_samples']:.0f} samples of controlled runs{error}"]
     lines += list(dict.fromkeys(line for report in training.report.values() for line in report.get("found", ())))
-    lines += [f"look here: {warning}" for warning in dict.fromkeys(
+    lines += [f"warning: {warning}" for warning in dict.fromkeys(
         warning for report in training.report.values() for warning in report["warnings"])]
     return "\n".join(lines)
 
 
 @contextmanager
 def _as_found() -> Iterator[None]:
-    """Leave the random numbers, warnings and log level of a notebook as they were."""
+    """Restore the random number generators, warnings and log level afterwards, as a notebook expects."""
     log = logging.getLogger(LIGHTNING)
     states, level = (random.getstate(), np.random.get_state(), torch.get_rng_state()), log.level
     try:

@@ -1,4 +1,4 @@
-"""Fitted models on disk, and what may be resumed."""
+"""Fitted models as checkpoint files: save, load, and check whether a run can be resumed."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ DECISIVE = ("data", "outputs", "model", "module", "seed")
 
 
 def save_model(path: Path, model: TorchModel, card: dict) -> Path:
-    """The fitted model alone, as `load_model` reads it; beside it what needs no Torch, see `save_twin`."""
-    # every process of a distributed run writes the same
+    """Write the fitted model in the form that `load_model` reads, and next to it a copy that needs no Torch, see
+    `save_twin`.
+    """
+    # every process of a distributed run writes the same content
     aside = path.with_name(f"{path.name}.{os.getpid()}.part")
     torch.save({"model": description(model), "card": card,
                 "state_dict": {f"model.{name}": value for name, value in model.state_dict().items()}}, aside)
@@ -27,22 +29,22 @@ def save_model(path: Path, model: TorchModel, card: dict) -> Path:
 
 
 def load_model(checkpoint: str | Path) -> tuple[TorchModel, dict]:
-    """The model of a checkpoint and the card of its data; nothing is unpickled but plain values.
+    """The model of a checkpoint, and the card of its data. Only plain values are unpickled.
 
-    Raises FileNotFoundError, or ValueError for a checkpoint of something else.
+    Raises FileNotFoundError, or ValueError for a checkpoint that holds no model of this package.
     """
     if not Path(checkpoint).is_file():
-        raise FileNotFoundError(f"no checkpoint at {checkpoint}; ssmr train prints the path of the one it writes")
+        raise FileNotFoundError(f"there is no checkpoint at {checkpoint}; ssmr train prints the path of its checkpoint")
     try:
         stored = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises what its unpickler meets, and advises to load unsafely
-        raise ValueError(f"{checkpoint} is not a checkpoint of plain values; expected one written by "
+    except Exception as error:  # torch raises many types of errors here, and its message advises unsafe loading
+        raise ValueError(f"{checkpoint} cannot be read as a checkpoint of plain values; expected one written by "
                          "ssmr train") from error
     try:
         module, _, name = stored["model"]["class"].rpartition(".")
         kind = found(f"{module}:{name}")
         if not (isinstance(kind, type) and issubclass(kind, TorchModel)):
-            raise ValueError(f"its class is {stored['model']['class']!r}, which is no model")
+            raise ValueError(f"its class is {stored['model']['class']!r}, which is not a model class")
         model = kind(**stored["model"]["arguments"])
         model.load_state_dict({key.removeprefix("model."): value for key, value in stored["state_dict"].items()
                                if key.startswith("model.")})
@@ -53,10 +55,10 @@ def load_model(checkpoint: str | Path) -> tuple[TorchModel, dict]:
 
 
 def check_resumable(directory: Path, steps: tuple[str, ...], origin: dict) -> None:
-    """Whether the fits `steps` can go on from the checkpoints below `directory` under this configuration.
+    """Check that the fits `steps` can continue from the checkpoints below `directory` with this configuration.
 
-    Raises ValueError where there are none, or where data, model, module, seed or the fit itself were configured
-    otherwise: the message names the first difference, with both values.
+    Raises ValueError if there are no checkpoints, or if data, model, module, seed or the fit were configured
+    differently. The message names the first difference with both values.
     """
     begun = [step for step in steps if (directory / step / "last.ckpt").is_file()]
     if not begun:
@@ -70,12 +72,12 @@ def check_resumable(directory: Path, steps: tuple[str, ...], origin: dict) -> No
         for name, old, new in pairs:
             if old != new:
                 key, old, new = _difference(name, old, new)
-                raise ValueError(f"the run in {directory.parent} was begun with {key}={old}, now it is {new}; resume "
-                                 "it as it was, or start a new one")
+                raise ValueError(f"the run in {directory.parent} was started with {key}={old}, but now it is {new}; "
+                                 "resume it with the old value, or start a new run")
 
 
 def _difference(name: str, old, new) -> tuple:
-    """The first key at which two configurations differ, and both values."""
+    """The first key in which two configurations differ, and both values."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key in sorted(old.keys() | new.keys()):
             if old.get(key) != new.get(key):

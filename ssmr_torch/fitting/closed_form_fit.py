@@ -1,4 +1,4 @@
-"""Closed-form least squares in the shape of an optimizer: accumulate the epoch, then step once."""
+"""Closed-form least squares as a Torch optimizer: it accumulates the rows of an epoch and solves in one step."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ssmr_torch.fitting.streamed_least_squares import Solution, StreamedRegressi
 class ExactSolve(torch.optim.Optimizer):
     """Solves the regressions accumulated since the last step, over all processes of a distributed run.
 
-    ridge: relative λ of every regression, a sequence of λ to choose from by cross-validation over the folds, or a
-    mapping {regression name: either}; one that a mapping does not name takes its "default", or λ = 0.
-    penalty: "ridge" or "lasso", see `StreamedRegression.solve`.
-    After `step`, `solutions` holds what was solved; who owns the parameters puts them in place.
+    ridge: the relative λ of every regression; or several λ, from which cross-validation over the folds chooses; or a
+    mapping {regression name: either of them}. A regression that the mapping does not name takes its "default", or λ =
+    0. penalty: "ridge" or "lasso", see `StreamedRegression.solve`.
+    After `step`, `solutions` holds the solutions. The owner of the parameters writes them into the parameters.
     """
 
     def __init__(self, parameters: Iterable[Tensor], ridge: float | tuple | Mapping = 0.0,

@@ -1,4 +1,4 @@
-"""Every model at its best on the same recordings: chosen from the training runs, scored on the test runs."""
+"""`compare`: chooses the best form of every kind of model on the training runs, and scores them on the test runs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from time import process_time
 import numpy as np
 from tqdm import tqdm
 
-from ssmr_torch.comparison import Comparison
+from ssmr_torch.evaluation.model_comparison import Comparison
 from ssmr_torch.evaluation.run_groups import compare_groups
 from ssmr_torch.fitting.by_kind import fit, refuse_unknown_kind
 from ssmr_torch.fitting.training import data_card
@@ -29,22 +29,22 @@ LINE = "fitting {desc} {n_fmt}/{total_fmt} [{elapsed}]"
 def compare(data: TrajectoryDataset, models: Iterable | Mapping | None = None, *, scored: Sequence[str] | None = None,
             noise: float = 0.0, horizons: Sequence[float] = HORIZONS, starts: int = 500, seed: int = 0,
             progress: bool | None = None) -> Comparison:
-    """Fit every model at its best to the training runs, and score all on the test runs, group by group.
+    """Fit the best form of every kind of model to the training runs, and score all on the test runs, group by group.
 
-    models: names or models; by default "auto", the model that is chosen from the data, and all baselines. "auto" is
+    models: names or models; default: "auto", the model whose form is chosen from the data, and all baselines. "auto" is
     `fit(data, "auto")`. A baseline ("dmd", "edmd", "edmd_relift", "edmd_bilinear", "koopman_lqr", "sssr", "ssmr",
-    "ssmr_control_augmented") gets the same help: its output coordinates, delays, size, ridge and whether decays take
-    part are chosen by the same rule on the same folds, see `choose_baseline`. Another kind ("neural_ode", "tpwl") is
-    fitted as `fit` does. A `TrainedModel` is taken as it is; by name in a mapping.
-    scored: names of the outputs that are to be predicted best, and that errors are of; None: all. noise: m, standard
-    deviation of the noise of the loop: all are chosen for it, baselines by rollouts from windows that have it, and
-    scored a second time with it on the windows that rollouts start from. horizons: s. starts: seeded samples per
-    horizon over all test runs of a kind.
-    progress: whether a line shows what is being fitted; None: yes.
+    "ssmr_control_augmented") gets the same help: its output coordinates, delays, size, ridge, and whether decays are
+    used, are chosen by the same rule on the same folds, see `choose_baseline`. Any other kind ("neural_ode", "tpwl") is
+    fitted by `fit`. A `TrainedModel` is used as it is; a mapping gives it a name.
+    scored: names of the outputs that matter, from which all errors are computed; None: all. noise: m, standard
+    deviation of the measurement noise in closed loop. All models are chosen for it: baselines by rollouts from noisy
+    windows. They are scored a second time with this noise on the windows at the starts. horizons: s. starts: number of
+    random starts per horizon, over all test runs of a kind.
+    progress: whether a line shows which model is being fitted; None: yes.
 
-    Returns a `Comparison`, which prints itself. A kind that the data cannot determine, or whose every form diverges, is
-    left out, with the reason in `refused`. Raises ValueError for a name that no kind has, outputs that the data do not
-    have, and data without controlled training runs or without test runs, before any work.
+    Returns a `Comparison`, which prints as a table. A kind is left out if the data cannot determine it, or if all its
+    forms diverge; the reason is in `refused`. Raises ValueError, before any work, for an unknown name, for outputs that
+    the data do not have, and for data without controlled training runs or without test runs.
     """
     refuse_other_data(data)
     asked = _by_name(MODELS if models is None else models)
@@ -52,7 +52,7 @@ def compare(data: TrajectoryDataset, models: Iterable | Mapping | None = None, *
     tests = [run for run in data.select("test") if run.kind != "static"]
     if not tests or not any(run.kind == "controlled" for run in training):
         raise ValueError(f"{len(tests)} test runs and {sum(run.kind == 'controlled' for run in training)} controlled "
-                         "training runs; a comparison needs some of both (split: test, split: train)")
+                         "training runs; a comparison needs at least one of each (split: test and split: train)")
     outputs = data.columns(scored)
     card = data_card(data, tuple(training))
     fitted, chosen, refused, cpu = {}, {}, {}, {}  # by name
@@ -77,7 +77,7 @@ def compare(data: TrajectoryDataset, models: Iterable | Mapping | None = None, *
 
 
 def _by_name(models: Iterable | Mapping) -> dict[str, object]:
-    """What is asked for, by the name that tables show. Raises ValueError for a kind that does not exist."""
+    """The requested models by the name that tables show. Raises ValueError for a kind that does not exist."""
     models = [models] if isinstance(models, (str, TrainedModel)) else models
     if isinstance(models, Mapping):
         asked = dict(models)
@@ -85,14 +85,14 @@ def _by_name(models: Iterable | Mapping) -> dict[str, object]:
         asked = {each.upper() if isinstance(each, str) else getattr(each, "name", repr(each)): each for each in models}
     for each in asked.values():
         if not isinstance(each, (str, TrainedModel)):
-            raise TypeError(f"{each!r} is no model; expected a name of conf/model, or what fit or load returns")
+            raise TypeError(f"{each!r} is not a model; expected a name of conf/model, or the result of fit or load")
         if isinstance(each, str):
             refuse_unknown_kind(each)
     return asked
 
 
 def _trial(training: Sequence, timestep: float, outputs: Sequence[int], noise: float) -> Trial:
-    """The folds that baselines are tried on: those of "auto", with the noise of the loop on windows of rollouts."""
+    """The folds on which baselines are tried: the folds of "auto", with the noise added to the windows of rollouts."""
     runs = [run.read() for run in training]
     decays, controlled = ([(run.observation, run.input) for run in runs if (run.kind == "decay") == decay]
                           for decay in (True, False))
@@ -107,7 +107,7 @@ def _trial(training: Sequence, timestep: float, outputs: Sequence[int], noise: f
 
 def _fitted(kind, name: str, data: TrajectoryDataset, trial: Trial | None, card: dict, scored, noise: float,
             seed: int) -> tuple[TrainedModel, str]:
-    """A model, and what was chosen of it."""
+    """The fitted model, and a text on what was chosen."""
     if isinstance(kind, TrainedModel):
         return kind, ""
     if kind in KINDS:

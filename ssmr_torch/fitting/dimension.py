@@ -1,4 +1,4 @@
-"""How many reduced coordinates the data ask for."""
+"""Rules that choose the number of reduced coordinates from the singular values of the data."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from ssmr_torch.fitting.streamed_least_squares import Factor, singular_values
 
 def window_singular_values(trajectories: Sequence, delays: int, *, transient: float = 0.0,
                            rows: int = 1024) -> np.ndarray:
-    """Singular values of all delay windows (paper, Eq. 4), ((n_d + 1) p,), streamed segment by segment, m."""
+    """Singular values of all delay windows (paper, Eq. 4), ((n_d + 1) p,), m; read segment by segment."""
     total = None
     for segment in SegmentDataset(trajectories, before=delays, after=0, rows=rows, transient=transient):
         windows = segment.core_rows(delay_windows(segment.observation, delays).flatten(1), delays)
         factor = Factor.of(windows)
         total = factor if total is None else total.merged(factor)
     if total is None:
-        raise ValueError("no trajectories were given; the tangent space is found from decays, or from controlled "
-                         "runs with manifold_data=all")
+        raise ValueError("no trajectories were given; the tangent space needs decays, or controlled runs with "
+                         "manifold_data=all")
     return singular_values(total)[0].numpy()
 
 
@@ -30,7 +30,7 @@ def captured_variance(values: np.ndarray) -> np.ndarray:
 
 
 def dimension_by_variance(values: np.ndarray, share: float = 0.95) -> int:
-    """Least even dimension whose directions capture at least this share of the variance (paper: 6 modes, > 95 %).
+    """Smallest even dimension whose directions capture at least this share of the variance (paper: 6 modes, > 95 %).
 
     Even, because a vibration mode takes two coordinates.
     """
@@ -41,12 +41,12 @@ def dimension_by_variance(values: np.ndarray, share: float = 0.95) -> int:
 
 
 def dimension_by_gap(values: np.ndarray, largest: int = 12) -> int:
-    """Even dimension k ≤ `largest` at which the singular values drop most, argmax σ_k / σ_{k+1}.
+    """Even dimension k ≤ `largest` after which the singular values drop most, argmax σ_k / σ_{k+1}.
 
     Raises ValueError with fewer than three singular values.
     """
     if len(values) < 3:
-        raise ValueError(f"{len(values)} singular values; a gap needs at least 3 (more delays or outputs)")
+        raise ValueError(f"{len(values)} singular values; the rule 'gap' needs at least 3: use more delays or outputs")
     floor = values[0] * 1e-12
     candidates = np.arange(2, min(largest, len(values) - 1) + 1, 2)
     drops = np.maximum(values[candidates - 1], floor) / np.maximum(values[candidates], floor)
@@ -54,7 +54,7 @@ def dimension_by_gap(values: np.ndarray, largest: int = 12) -> int:
 
 
 def choose_dimension(rule: int | str, trajectories: Sequence, delays: int, transient: float = 0.0) -> int:
-    """The dimension itself, or by the rule "variance", "variance:0.99" or "gap".
+    """The dimension, given as a number or by the rule "variance", "variance:0.99" or "gap".
 
     Raises ValueError for another rule.
     """

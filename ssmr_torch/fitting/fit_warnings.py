@@ -1,4 +1,4 @@
-"""What a closed-form fit found, and where the user should look."""
+"""Report of a closed-form fit, and warnings about what is doubtful in it."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ STARTS_AT_ONCE = 512
 @torch.no_grad()
 def training_divergence(model: TorchModel, trajectories: Sequence, horizon: float = 1.0,
                         transient: float = 0.0) -> dict[str, float]:
-    """Share of diverged rollouts of the training data: of decays from `transient` s on over their full length, of
-    other runs cut into stretches of `horizon` s. A mean over survivors alone would hide them.
+    """Share of diverged rollouts of the training data, by kind of run. A mean error over the other rollouts hides them.
+
+    Decays are rolled out from `transient` s to their end; other runs are cut into pieces of `horizon` s.
     """
     shares = {}
     for kind in ("decay", "controlled"):
@@ -56,7 +57,7 @@ def _batches(model: TorchModel, trajectories: Sequence, kind: str, horizon: floa
 
 
 def _diverged(model: TorchModel, starts: list[RolloutBatch]) -> Tensor:
-    """Whether each start diverges within its own length; shorter ones are continued without input meanwhile."""
+    """Whether each rollout diverges within its own length. Shorter rollouts are padded with zero input."""
     lengths = torch.tensor([len(start.inputs) for start in starts])
     windows, inputs = (torch.stack([getattr(start, name) for start in starts]) for name in ("window", "window_inputs"))
     held = pad_sequence([start.inputs for start in starts], batch_first=True)
@@ -65,7 +66,9 @@ def _diverged(model: TorchModel, starts: list[RolloutBatch]) -> Tensor:
 
 @torch.no_grad()
 def diagnose(fit, trajectories: Sequence, transient: float = 0.0) -> dict:
-    """Report of a fit as plain values: regressions, singular values, eigenvalues, diverged shares, warnings."""
+    """Report of a fit as plain values: regressions, singular values, eigenvalues, shares of diverged rollouts,
+    warnings.
+    """
     model = fit.model
     diverged = training_divergence(model, trajectories, transient=transient)
     report = {"regressions": getattr(fit, "solutions", {}), "diverged": diverged,
@@ -85,7 +88,7 @@ def diagnose(fit, trajectories: Sequence, transient: float = 0.0) -> dict:
 
 
 def warnings(report: dict, model: TorchModel) -> list[str]:
-    """Sentences that say what is doubtful about a fit and what to do."""
+    """Sentences on what is doubtful about a fit, and what to do about it."""
     found = []
     if model.tables and len(model.reduced.parametrization) == model.window_dim:
         found += _geometry_warnings(report, model)
@@ -95,8 +98,8 @@ def warnings(report: dict, model: TorchModel) -> list[str]:
                      f"{max(v[0] for v in unstable):.3g} 1/s); cut a shorter transient, use more decays, or add ridge.")
     for name, regression in report["regressions"].items():
         if regression["condition"] > ILL_CONDITIONED:
-            found.append(f"The {name} regression has condition {regression['condition']:.2g}; add ridge, lower the "
-                         "degree, or excite the robot more widely.")
+            found.append(f"The {name} regression has condition number {regression['condition']:.2g}; add ridge, lower "
+                         "the degree, or record runs with more varied inputs.")
     found += [f"The stability guard repaired the fit: {what} {amount:g}." for what, amount
               in report.get("repairs", {}).items()]
     joint = "use calibration=joint, " if "drift" in report["regressions"] else ""
@@ -110,18 +113,18 @@ def warnings(report: dict, model: TorchModel) -> list[str]:
 def _geometry_warnings(report: dict, model: TorchModel) -> list[str]:
     found = []
     if model.window_dim == model.state_dim:
-        found.append(f"The window holds p = {model.window_dim} values, as many as the n = {model.state_dim} reduced "
-                     "coordinates: the parametrization is linear, and all nonlinearity sits in the dynamics. "
-                     "More outputs or delays give a curved manifold.")
+        found.append(f"The window holds p = {model.window_dim} values and there are n = {model.state_dim} reduced "
+                     "coordinates. The parametrization is therefore linear, and all nonlinearity is in the dynamics. "
+                     "More outputs or delays allow a curved manifold.")
     decays = report["trajectories"]["decay"]
     of_state = [factors for factors in model.structure.dynamics.factors if factors[-1] < model.state_dim]
     needed = len(of_state)
     frozen = "drift" in report["regressions"]
     if decays < needed / 4 and max(map(len, of_state)) > 1 and frozen:
-        found.append(f"{decays} decays for {needed} coefficients per row of the reduced dynamics: too few for degree "
-                     f"{max(map(len, of_state))}; use calibration=joint, more decays, or a lower degree.")
+        found.append(f"{decays} decays are too few for {needed} coefficients per row of the reduced dynamics (degree "
+                     f"{max(map(len, of_state))}); use calibration=joint, more decays, or a lower degree.")
     if decays == 0:
-        found.append("No decays: the tangent space was found from controlled runs, which leave the manifold.")
+        found.append("No decays: the tangent space was computed from controlled runs, which leave the manifold.")
     if report.get("captured_variance", 1.0) < 0.95:
         found.append(f"The {model.state_dim} leading directions capture {100 * report['captured_variance']:.1f} % of "
                      "the variance, less than 95 %; take a larger state_dim.")

@@ -17,23 +17,24 @@ from ssmr_torch.fitting.stability import StabilityGuard
 from ssmr_torch.models.batch_rollout import batch_of
 from ssmr_torch.models.torch_model import TorchModel
 
-LARGEST = 6000           # coefficients: the normal matrix then takes 0.3 GB
+LARGEST = 6000           # coefficients; the normal matrix of so many takes 0.3 GB
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-6, 1e4
 ROWS = 1 << 22           # numbers in a block of J
-COLUMNS = 256            # of a block of H
-FARTHEST = 100.0         # σ_k that a sample may be off to count
-LOST = 0.1               # of the training rollouts: a closed form that loses fewer is refined as it is
+COLUMNS = 256            # columns in a block of H
+FARTHEST = 100.0         # in units of σ_k: samples with a larger error do not count
+LOST = 0.1               # share of diverging training rollouts above which the model is repaired before the refinement
 
 
 class LevenbergMarquardt(torch.optim.Optimizer):
     """θ ← θ + d,  (H + λ diag H) d = g,  H = Σ JᵀJ,  g = Σ Jᵀr [Marquardt 1963].
 
-    tables: views of what is changed; their entries, one table after the other, are the columns of J.
-    products: precision of the products JᵀJ; single is twice as fast, and as g stays in double precision it moves no
-    minimum. project: moves the tables into the set of those allowed, after each trial step and before its cost.
-    λ falls by 5 after a step that lowers the cost, and rises by 6 until one does; beyond `LARGEST_DAMPING` nothing is
-    changed.
-    `cost` and `gain`, the relative decrease (0 where nothing was changed), are those of the last step.
+    tables: views of the coefficients that are changed; their entries, one table after the other, are the columns of J.
+    products: precision of the products JᵀJ. Single precision is twice as fast; g stays in double precision, so the
+    minimum does not move. project: called after each trial step, before its cost is computed; it moves the tables back
+    into the allowed set.
+    λ is divided by 5 after a step that lowers the cost. Otherwise it is multiplied by 6 until a step lowers the cost;
+    beyond `LARGEST_DAMPING` the tables stay unchanged.
+    `cost` and `gain`, the relative decrease of the cost (0 if nothing was changed), belong to the last step.
     """
 
     def __init__(self, parameters: Iterable[Tensor], tables: Sequence[Tensor], damping: float,
@@ -50,14 +51,15 @@ class LevenbergMarquardt(torch.optim.Optimizer):
         """Add rows: J (N, P) of the predictions, r (N,) = measured - predicted, both weighted."""
         self._gradient.addmv_(jacobian.T, residuals)
         rows = jacobian.to(self.products)
-        # H is symmetric, and its factorization reads what is on and above the diagonal alone
+        # H is symmetric, and its factorization reads only the diagonal and what is above it
         for first in range(0, rows.shape[1], COLUMNS):
             block = slice(first, first + COLUMNS)
             self._normal[block, first:] += rows[:, block].T @ rows[:, first:]
 
     @torch.no_grad()
     def step(self, closure: Callable[[], float]) -> float:
-        """Take the least damped step that lowers the cost; closure: cost of the present tables."""
+        """Take the step with the least damping that lowers the cost. closure: returns the cost of the present tables.
+        """
         start = torch.cat([table.flatten() for table in self.tables])
         before = self.cost = closure()
         scale = self._normal.diagonal().clamp_min(1e-12 * self._normal.diagonal().max().clamp_min(1e-300)).sqrt()
@@ -90,19 +92,20 @@ class LevenbergMarquardt(torch.optim.Optimizer):
 class GaussNewtonFit(ModelFit):
     """Minimizes the mean over starts and samples k of min(‖ŷ_k - y_k‖² / σ_k², C²), by one damped step per epoch.
 
-    σ_k is the error k steps ahead of the model that the fit starts from, so that short and long horizons count alike;
-    what is farther off than C = `FARTHEST` times σ_k does not say where to go. Each epoch draws `starts` rollouts of
-    `horizon` s from the training runs; residuals are taken at `samples` logarithmically spaced steps of each.
-    trained: of "dynamics", "chart" (an oblique projection, learned: [Buurmeijer et al., Taming high-dimensional
-    dynamics, 2025]) and "parametrization" (its newest sample's rows).
+    σ_k is the error k steps ahead of the model before this fit, so that short and long horizons have the same weight.
+    Errors larger than C = `FARTHEST` times σ_k have no gradient. Each epoch draws `starts` rollouts of `horizon` s from
+    the training runs; residuals are taken at `samples` logarithmically spaced steps of each rollout.
+    trained: some of "dynamics", "chart" (a learned oblique projection [Buurmeijer et al., Taming high-dimensional
+    dynamics, 2025]) and "parametrization" (the rows of the newest sample).
 
-    Stability is a part of the cost: a wall that no step may cross would end the fit where the closed form already
-    touches it. The same rollouts, with their inputs multiplied by `overdrive`, count by how far they leave
-    (1 + reach) / 2 times the range of the training outputs, four times as much after each epoch whose model does not
-    hold by its `StabilityGuard`. Eigenvalues beyond the margin (1/s) are moved back onto it after every step. The
-    epoch with the fewest diverging training rollouts is kept, among these the one of least validation error
-    (validation/guarded: their sum). A closed form that loses more than a share `LOST` of its rollouts is made to hold
-    before the fit. The fit ends after `epochs` steps, or when two in a row lower the cost by less than `tolerance`.
+    Stability is a penalty in the cost and not a hard limit, because a hard limit would end the fit at once if the first
+    model is already at the limit. The same rollouts are repeated with their inputs multiplied by `overdrive`. They are
+    penalized by how far they leave (1 + reach) / 2 times the range of the training outputs. The penalty grows by a
+    factor of 4 after each epoch whose model fails its `StabilityGuard`. After every step, eigenvalues beyond the margin
+    (1/s) are moved back onto it. The fit keeps the epoch with the fewest diverging training rollouts, and among these
+    the one with the least validation error (validation/guarded is the sum of both). If more than the share `LOST` of
+    the first model's rollouts diverge, the guard repairs the model before the fit. The fit ends after `epochs` steps,
+    or when two steps in a row lower the cost by less than `tolerance`.
     Raises ValueError for models without coefficient tables or with more than 6,000 trained coefficients.
     """
 
@@ -114,12 +117,12 @@ class GaussNewtonFit(ModelFit):
         super().__init__(model)
         if epochs < 0 or starts < 1 or samples < 1 or not (horizon > 0 and damping > 0 and tolerance >= 0):
             raise ValueError(f"epochs {epochs}, starts {starts}, samples {samples}, horizon {horizon} s, damping "
-                             f"{damping} and tolerance {tolerance}; all must be positive, epochs may be 0, which "
-                             "leaves the fit out")
+                             f"{damping} and tolerance {tolerance}; all must be positive; only epochs may be 0, to "
+                             "skip the fit")
         size = sum(table.numel() for table in coefficients(model, trained))
         if size > LARGEST:
-            raise ValueError(f"{size} coefficients are trained, more than the {LARGEST} of which a Gauss-Newton step "
-                             "can be made; lower the degrees or state_dim, or use fit=rollout")
+            raise ValueError(f"{size} coefficients are to be trained, but a Gauss-Newton step can train at most "
+                             f"{LARGEST}; lower the degrees or state_dim, or use fit=rollout")
         self.automatic_optimization = False
         self.epochs, self.starts, self.horizon, self.samples = int(epochs), int(starts), float(horizon), int(samples)
         self.trained, self.damping, self.tolerance = tuple(trained), float(damping), float(tolerance)
@@ -134,7 +137,7 @@ class GaussNewtonFit(ModelFit):
 
     @cached_property
     def guard(self) -> StabilityGuard:
-        """Over the training runs of the trainer's data module."""
+        """The stability guard for the training runs of the trainer's data module."""
         module = self.trainer.datamodule
         return StabilityGuard(module.training, transient=module.transient, **self.settings)
 
@@ -151,7 +154,7 @@ class GaussNewtonFit(ModelFit):
 
     @torch.no_grad()
     def training_step(self, batch: RolloutBatch, index: int) -> None:
-        """Accumulate the sensitivities of these rollouts; with the last batch of the epoch, take the step."""
+        """Accumulate the sensitivities of these rollouts; take the step after the last batch of the epoch."""
         optimizer = self.optimizers()
         if self._weights is None:
             self._weights = self._first_weights(batch)
@@ -180,7 +183,7 @@ class GaussNewtonFit(ModelFit):
             optimizer.accumulate(*self._rows(_chosen(batch, block), stressed))
 
     def _rows(self, batch: RolloutBatch, stressed: bool) -> tuple[Tensor, Tensor]:
-        """Weighted J and r of these rollouts, without the rows of samples that are too far off."""
+        """Weighted J and r of these rollouts, without the rows of samples whose error is too large."""
         jacobians, residuals, steps = [], [], self._steps(batch)
         for found, weight in zip(rollout_sensitivities(self.model, batch, steps, self.trained), self._weights):
             residual = weight * (self._target(batch, found.outputs, found.step - 1, stressed) - found.outputs)
@@ -191,7 +194,7 @@ class GaussNewtonFit(ModelFit):
         jacobian, residual = torch.cat(jacobians), torch.cat(residuals)
         if not stressed:
             return jacobian, residual
-        left = residual != 0  # inside the room nothing changes
+        left = residual != 0  # inside the permitted range the residual is 0
         return self._stress ** 0.5 * jacobian[left], self._stress ** 0.5 * residual[left]
 
     def _target(self, batch: RolloutBatch, outputs: Tensor, samples, stressed: bool) -> Tensor:
@@ -211,7 +214,7 @@ class GaussNewtonFit(ModelFit):
         return replace(batch, inputs=self.settings["overdrive"] * batch.inputs)
 
     def _errors(self, batch: RolloutBatch, stressed: bool = False) -> Tensor:
-        """Squared distances from what was measured, of stressed rollouts from the room, (N, steps) m²."""
+        """Squared distances (N, steps), m², from the measurements; of stressed rollouts, from the permitted range."""
         reduced, there = batch_of(self.model), self._steps(batch)
         window, held, inputs = (part.numpy(force=True) for part in (batch.window, batch.window_inputs, batch.inputs))
         states = reduced.rollout(reduced.model.encode(window, held), inputs).states
@@ -220,8 +223,8 @@ class GaussNewtonFit(ModelFit):
         return (outputs - self._target(batch, outputs, there - 1, stressed)).square().sum(-1)
 
     def _first_weights(self, batch: RolloutBatch) -> Tensor:
-        """1 / σ_k, with σ_k at most the size of the outputs, where rollouts diverge, and a floor on it so that what is
-        already exact does not count without end.
+        """1 / σ_k. σ_k is at most the size of the outputs, for rollouts that diverge, and has a lower bound, so that an
+        exact prediction does not get an infinite weight.
         """
         size = batch.outputs.square().sum(-1).mean()
         errors = self._errors(batch).nan_to_num(torch.inf).clamp_max(size).mean(0)

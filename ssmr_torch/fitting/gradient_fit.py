@@ -1,4 +1,4 @@
-"""Gradient fits: the multi-step rollout loss, by Adam."""
+"""Gradient fit: minimizes the multi-step rollout error with Adam."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from ssmr_torch.models.torch_model import TorchModel
 
 
 class GradientFit(ModelFit):
-    """Refines a model from where it stands by the multi-step rollout loss
+    """Refines a fitted model by the multi-step rollout loss
 
         mean over starts and steps k of ‖ŷ_k - y_k‖² / σ_k²,
 
-    with σ_k the error k steps ahead, on the first batch, of the model that the fit starts from, so that short and long
-    horizons count alike. The rollouts grow from `first_share` of their horizon to all of it over the first half of the
-    fit, and the learning rate falls to zero along a cosine over all of it. The fit takes `epochs` epochs or `minutes`
-    CPU minutes of this process (all its threads), whichever ends first, or ends when `patience` validations in a row
-    bring nothing better; the best epoch is kept.
+    with σ_k the error k steps ahead of the model before this fit, on the first batch, so that short and long horizons
+    have the same weight. Over the first half of the fit, the rollouts grow from `first_share` of their horizon to the
+    full horizon. Over the whole fit, the learning rate falls to zero along a cosine. The fit ends after `epochs`
+    epochs, after `minutes` CPU minutes of this process (all its threads), or after `patience` validations in a row
+    without an improvement, whichever comes first. The best epoch is kept.
 
-    learning_rate: relative to the size of each coefficient's contribution, see `table_scales`. horizon: of the
-    rollouts, s; None: the data module's. frozen: names of parameters that keep their values (the chart and the
-    parametrization's geometry by default). weight_decay: pulls all trained coefficients to zero, in units of their
-    scales [Adam's L2 penalty]. gradient_clip: largest norm of the gradient in these units.
-    Raises ValueError for settings that mean nothing, and at its start for a model that was not fitted before.
+    learning_rate: relative to the size of each coefficient's contribution, see `table_scales`. horizon: length of the
+    rollouts, s; None: that of the data module. frozen: names of parameters that keep their values (by default the chart
+    and the parametrization). weight_decay: Adam's L2 penalty on all trained coefficients, in units of their scales.
+    gradient_clip: largest norm of the gradient in these units.
+    Raises ValueError for settings out of range, and at its start for a model that was not fitted before.
     """
 
     selects = True
@@ -41,11 +41,11 @@ class GradientFit(ModelFit):
                  minutes: float | None = None, horizon: float | None = None):
         super().__init__(model)
         if epochs < 1 or not learning_rate > 0:
-            raise ValueError(f"epochs {epochs} and learning_rate {learning_rate}; both must be positive")
+            raise ValueError(f"epochs is {epochs} and learning_rate is {learning_rate}; both must be positive")
         limits = [limit for limit in (patience, minutes) if limit is not None]
         if not 0 < first_share <= 1 or weight_decay < 0 or any(limit <= 0 for limit in limits):
             raise ValueError(f"first_share {first_share}, weight_decay {weight_decay}, patience {patience} and minutes "
-                             f"{minutes}; expected a share of at most 1 and positive numbers")
+                             f"{minutes}; expected positive numbers, first_share ≤ 1 and weight_decay ≥ 0")
         known = dict(model.named_parameters())
         unknown = [name for name in frozen if name not in known]
         if unknown:
@@ -73,8 +73,8 @@ class GradientFit(ModelFit):
     def on_fit_start(self) -> None:
         super().on_fit_start()
         if self.model.state_scale.isinf().any():
-            raise ValueError("the range of the training states is not known: this model was not fitted; put its "
-                             "closed form before the gradient fit, as fit=rollout and fit=neural_ode do")
+            raise ValueError("this model was not fitted yet, so the range of its training states is not known; run its "
+                             "closed-form fit before the gradient fit, as fit=rollout and fit=neural_ode do")
 
     def on_train_start(self) -> None:
         self._begun = process_time()
@@ -96,7 +96,7 @@ class GradientFit(ModelFit):
         return squares, rollout.diverged_at <= batch.inputs.shape[-2]
 
     def _progress(self, epoch: int) -> float:
-        """Share of the fit that is done, of its epochs or of its minutes, whichever is more."""
+        """Share of the fit that is done: of its epochs or of its minutes, whichever is larger."""
         share = epoch / self.epochs
         if self.minutes is not None and self._begun is not None:
             share = max(share, (process_time() - self._begun) / (60 * self.minutes))
@@ -112,7 +112,7 @@ class GradientFit(ModelFit):
         self._stop_where(late)
 
     def on_validation_epoch_end(self) -> None:
-        """Stop when nothing better came for `patience` epochs."""
+        """Stop after `patience` epochs without an improvement."""
         found = self.trainer.callback_metrics.get("validation/rmse")
         if found is None or self.trainer.state.fn != "fit":
             return
@@ -121,12 +121,12 @@ class GradientFit(ModelFit):
         self._stop_where(self.patience is not None and self._waited >= self.patience)
 
     def _stop_where(self, reached: bool) -> None:
-        """Processes stop together, or one would wait for another for ever."""
+        """Stop all processes together. Otherwise one would wait for another forever."""
         if self.trainer.strategy.reduce_boolean_decision(reached, all=False):
             self.trainer.should_stop = True
 
     def configure_gradient_clipping(self, optimizer, gradient_clip_val=None, gradient_clip_algorithm=None) -> None:
-        """Clip the gradient of the scaled coefficients, whose sizes are comparable."""
+        """Clip the gradient with respect to the scaled coefficients, because their sizes are comparable."""
         optimizer = getattr(optimizer, "optimizer", optimizer)
         optimizer.clip(self.gradient_clip)
 

@@ -1,4 +1,4 @@
-"""Koopman models in closed form: scale, transition of the lifted state, and static pregain."""
+"""Least-squares fit of Koopman models in closed form: scale, transition of the lifted state, and static pregain."""
 
 from __future__ import annotations
 
@@ -18,19 +18,18 @@ SAME_INPUT = 1e-9
 
 
 class KoopmanLeastSquares(nn.Module):
-    """The regressions of a `Koopman` model, one pass over the data each.
+    """The stages of the fit of a `Koopman` model. Each stage takes one pass over the data.
 
-    scale: the root mean square of each observable, by which ζ is divided; it conditions the regression and gives the
-        ridge one meaning for all, and changes no prediction of an unregularized fit beyond rounding.
-    transition: ψ(ζ_{k+1}), or ζ_{k+1} alone if that is lifted anew, on [z, u, u ⊗ (z but its constant)], over all pairs
-        a model step apart that lie within one run. Rows that are known are set and not regressed: the constant, and in
-        degree one the delayed copies of y and u.
-    pregain (if the model carries one): u on [1, y] over the set points, the last sample of each static run and the last
-        before each change of its input.
-
-    A model whose timestep is a multiple of the sampling time takes windows spaced by its own, from every phase, with
-    the mean of the inputs over the step, which for inputs held as long is the input itself.
-    kinds: of the runs that show the transition. Raises ValueError in `assign` where a stage found no rows.
+    scale: the root mean square of each observable, by which ζ is divided. It improves the conditioning and gives the
+        ridge the same meaning for all observables. It does not change an unregularized fit, except by rounding.
+    transition: regression of ψ(ζ_{k+1}), or of ζ_{k+1} only with relift, on [z, u, u ⊗ (z without its constant)], over
+        all pairs of samples of one run that are one model step apart. Known rows are set without regression: the
+        constant, and for degree 1 the delayed copies of y and u.
+    pregain (if the model has one): regression of u on [1, y] over the set points: the last sample of each static run,
+        and the last sample before each change of its input.
+    If the model's timestep is a multiple of the sampling time, windows are spaced by the model's timestep, beginning at
+    every sample. The input is then its mean over the step; an input that is held over the step keeps its value.
+    kinds: kinds of runs for the transition. Raises ValueError in `assign` if the data had no rows for a stage.
     """
 
     names = ("scale", "transition", "pregain")
@@ -39,8 +38,8 @@ class KoopmanLeastSquares(nn.Module):
         super().__init__()
         unknown = [kind for kind in kinds if kind not in ("decay", "controlled", "static")]
         if unknown or not kinds:
-            raise ValueError(f"kinds is {list(kinds)}; expected some of decay, controlled, static")
-        # not a submodule: the fit that holds this procedure also holds the model, and saves it once
+            raise ValueError(f"kinds is {list(kinds)}; expected one or more of decay, controlled, static")
+        # not a submodule: the fit that contains this procedure also contains the model, and saves it only once
         self.__dict__["model"] = model
         self.kinds = tuple(kinds)
         self.stages = ("scale", "transition") + (("pregain",) if model.has_pregain else ())
@@ -48,7 +47,7 @@ class KoopmanLeastSquares(nn.Module):
         self.stride = 1
 
     def sampled_every(self, timestep: float) -> None:
-        """Take the data's sampling time, s. Raises ValueError where the model's timestep is no whole multiple."""
+        """Set the data's sampling time, s. Raises ValueError unless the model's timestep is a whole multiple of it."""
         self.stride = whole_multiple("the model's timestep", self.model.base_timestep, "the data's", timestep)
 
     @property
@@ -61,7 +60,7 @@ class KoopmanLeastSquares(nn.Module):
 
     @torch.no_grad()
     def regressions(self, segment: Segment, stage: str) -> dict[str, Regression]:
-        """Rows of a segment: transitions of observables, for the stage "pregain" set points; {} where it has none."""
+        """Rows of a segment: transitions of observables, or set points for the stage "pregain"; {} if it has none."""
         if stage == "pregain":
             return self._pregain(segment) if segment.kind == "static" else {}
         if segment.kind not in self.kinds or len(segment.observation) <= self.before + self.after:
@@ -80,11 +79,11 @@ class KoopmanLeastSquares(nn.Module):
 
     @torch.no_grad()
     def assign(self, stage: str, solutions: Mapping[str, Solution]) -> None:
-        """Put the solution of a stage in place. Raises ValueError when the data held no rows for it."""
+        """Write the solution of a stage into the model. Raises ValueError if the data had no rows for it."""
         if stage not in solutions:
             kinds = ("static",) if stage == "pregain" else self.kinds
-            raise ValueError(f"the {stage} stage found no rows: the training data hold no {' or '.join(kinds)} runs; "
-                             "record some (excitation=static gives set points), or choose another model")
+            raise ValueError(f"the {stage} stage found no data: there are no {' or '.join(kinds)} runs among the "
+                             "training runs; record some (excitation=static gives set points), or choose another model")
         model, solution = self.model, solutions[stage]
         if stage == "scale":
             rms = torch.linalg.vector_norm(solution.factor.triangle, dim=0) / max(solution.rows, 1) ** 0.5
@@ -107,7 +106,7 @@ class KoopmanLeastSquares(nn.Module):
             model.N[:, :, first:] = coefficients[:, size + m:].unflatten(1, (m, size - first)).transpose(0, 1)
 
     def _set_known_rows(self, coefficients: Tensor) -> None:
-        """The constant stays one; a delayed sample or input of the next step is one of this step."""
+        """The constant stays 1; a delayed sample or input of the next step is a sample or input of this step."""
         model, p, m, linear = self.model, self.model.output_dim, self.model.input_dim, int(self.model.constant)
         first = linear - model.propagated.start
         if first:
@@ -126,7 +125,7 @@ class KoopmanLeastSquares(nn.Module):
     def _regressors(self, z: Tensor, u: Tensor) -> Tensor:
         parts = [z, u]
         if self.model.bilinear:
-            # u times the constant is u, which B has
+            # u times the constant is u, which B already covers
             parts.append((u[:, :, None] * z[:, None, int(self.model.constant):]).flatten(1))
         return torch.cat(parts, dim=1)
 
@@ -149,8 +148,8 @@ class KoopmanLeastSquares(nn.Module):
 
     @staticmethod
     def _pregain(segment: Segment) -> dict[str, Regression]:
-        """Set points: samples of the core after which the input changes or the run ends."""
-        # recorded inputs carry rounding, which is no change
+        """Set points: core samples after which the input changes or the run ends."""
+        # recorded inputs differ by rounding; this is not a change
         changes = ((segment.input[1:] - segment.input[:-1]).abs() > SAME_INPUT * segment.input.abs().amax()).any(1)
         settled = torch.zeros(len(segment.input), dtype=torch.bool, device=changes.device)
         settled[:-1], settled[-1] = changes, True

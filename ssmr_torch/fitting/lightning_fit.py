@@ -1,4 +1,4 @@
-"""Training through Lightning: one score for every model, closed-form fits as stages, gradient fits on rollouts."""
+"""Base classes of all fits as Lightning modules: the same scores for every model, and closed-form fits in stages."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ from ssmr_torch.models.torch_model import TorchModel
 
 
 def description(model: TorchModel) -> dict:
-    """Class path and constructor arguments, plain values that rebuild the model."""
+    """Class path and constructor arguments as plain values, from which the model can be rebuilt."""
     kind = type(model)
     return {"class": f"{kind.__module__}.{kind.__qualname__}", "arguments": model.arguments}
 
 
 class ModelFit(lightning.LightningModule):
-    """Holds a model while it is fitted; the validation and test scores are the same for every model.
+    """Holds a model while it is fitted. The validation and test scores are computed the same way for every model.
 
-    card: plain values that travel with the checkpoint (names, units, rest, bounds of the data).
-    validation/…, test/…: see `scores`. overdrive, overspeed: where one is not 1, the validation rollouts are repeated
-    with inputs `overdrive` times as strong, and with these played `overspeed` times as fast; the larger share that
-    diverges is validation/overdriven, and validation/relative is infinite where any does. What was measured says
-    nothing of what lies beyond it, but that a robot stays finite there is known.
-    selects: whether the fit keeps its best epoch by its `monitor`, a score of the validation, and is undone where none
-    is better than its start; otherwise its last epoch is kept.
+    card: plain values that are stored in the checkpoint (names, units, rest, bounds of the data).
+    validation/…, test/…: see `scores`.
+    overdrive, overspeed: if one of them is not 1, the validation rollouts are repeated with inputs `overdrive` times
+    larger, and with inputs played `overspeed` times faster. validation/overdriven is the larger share of rollouts that
+    diverge. If any diverges, validation/relative is infinite. The data contain no such inputs, but it is known that a
+    real robot stays finite under them.
+    selects: whether the fit keeps its best epoch by `monitor`, a validation score, and is undone if no epoch is better
+    than its start. Otherwise the last epoch is kept.
     """
 
     selects, monitor = False, "validation/rmse"
@@ -63,18 +64,18 @@ class ModelFit(lightning.LightningModule):
         self._log(scores(self.model, scored), "test")
 
     def _log(self, values: Mapping[str, float], split: str) -> None:
-        # as tensors, since Lightning makes single precision of plain numbers
+        # as tensors, because Lightning converts plain numbers to single precision
         self.log_dict({f"{split}/{name}": torch.tensor(value, dtype=torch.float64) for name, value in values.items()},
                       batch_size=1, prog_bar=split == "validation")
 
 
 class LeastSquaresFit(ModelFit):
-    """Fits a model in closed form: one epoch per stage, each solved at its last batch.
+    """Fits a model in closed form: one epoch per stage, which is solved at its last batch.
 
-    The solve is the step of the optimizer `ExactSolve`, so that checkpoints, loggers and the validation after the
-    epoch all see the solved parameters. ridge, penalty: see `ExactSolve`. folds: cross-validation parts, by trajectory
-    and, within long ones, by contiguous stretches.
-    `solutions` keeps what the fit found, for its report.
+    The solution is the step of the optimizer `ExactSolve`. Checkpoints, loggers and the validation after the epoch
+    therefore all use the solved parameters. ridge, penalty: see `ExactSolve`. folds: number of parts for
+    cross-validation; parts are trajectories, or contiguous pieces of long trajectories.
+    `solutions` keeps the solutions for the report of the fit.
     """
 
     def __init__(self, procedure: LeastSquaresModel, ridge: float | Sequence | dict = 0.0, folds: int = 5,
@@ -84,7 +85,7 @@ class LeastSquaresFit(ModelFit):
             raise ValueError(f"folds is {folds}; cross-validation needs at least 2")
         unknown = set(ridge) - {"default", *procedure.names} if isinstance(ridge, Mapping) else set()
         if unknown:
-            raise ValueError(f"ridge names {sorted(unknown)}; the regressions are {sorted(procedure.names)}")
+            raise ValueError(f"ridge names {sorted(unknown)}; this fit has the regressions {sorted(procedure.names)}")
         for each in ridge.values() if isinstance(ridge, Mapping) else [ridge]:
             _ = ridge_candidates(each)
         if penalty not in PENALTIES:
@@ -95,7 +96,7 @@ class LeastSquaresFit(ModelFit):
 
     @property
     def epochs(self) -> int:
-        """Passes over the data that the fit takes."""
+        """Number of passes over the data."""
         return len(self.procedure.stages)
 
     def configure_optimizers(self) -> ExactSolve:
@@ -103,9 +104,9 @@ class LeastSquaresFit(ModelFit):
 
     def on_train_start(self) -> None:
         if isinstance(getattr(self.trainer.train_dataloader, "sampler", None), DistributedSampler):
-            raise ValueError("the trainer would repeat segments to even out the processes, and count them twice; "
-                             "set trainer.use_distributed_sampler=false (the data module shares them out)")
-        # DDP waits for a backward pass that a closed-form fit never makes
+            raise ValueError("the trainer would give some segments to two processes, so that they count twice; set "
+                             "trainer.use_distributed_sampler=false (the data module distributes the segments)")
+        # DDP waits for a backward pass, which a closed-form fit does not have
         self.trainer.strategy.model.require_backward_grad_sync = False
 
     @property

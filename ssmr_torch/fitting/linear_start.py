@@ -1,4 +1,4 @@
-"""The linear model that a model of any family starts its training from."""
+"""Closed-form fit of a linear model, from which the gradient training of any other model starts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ssmr_torch.models.torch_model import PolynomialTorchModel, TorchModel, tabl
 
 
 class LinearModel(PolynomialTorchModel):
-    """z = chart · [ŷ, û],   y = parametrization · z,   f = A z + B u, which is dz/dt of a flow, z⁺ of a map."""
+    """z = chart · [ŷ, û],   y = parametrization · z,   f = A z + B u, which is dz/dt for a flow, z⁺ for a map."""
 
     tables = {"chart": ("chart",), "parametrization": ("parametrization",), "dynamics": ("A", "B")}
 
@@ -32,9 +32,9 @@ class LinearModel(PolynomialTorchModel):
 
 
 class LinearStart(nn.Module):
-    """A `LinearModel` in closed form, of as many states, from which a model of any family begins (`TorchModel.begin`).
+    """Fits a `LinearModel` with as many states in closed form, and passes it to the method `begin` of the model.
 
-    options: of `PolynomialLeastSquares`. Raises ValueError for a model that does not say how it begins.
+    options: those of `PolynomialLeastSquares`. Raises ValueError for a model that has no method `begin`.
     """
 
     names = PolynomialLeastSquares.names
@@ -42,9 +42,9 @@ class LinearStart(nn.Module):
     def __init__(self, model: TorchModel, **options):
         super().__init__()
         if type(model).begin is TorchModel.begin:
-            raise ValueError(f"{type(model).__name__} does not say how it begins as a linear model; write its method "
-                             "`begin(chart, parametrization, A, B)`, or a closed form of its own")
-        # not a submodule: the fit that holds this procedure also holds the model, and saves it once
+            raise ValueError(f"{type(model).__name__} cannot start from a linear model, because it has no method "
+                             "`begin(chart, parametrization, A, B)`; write that method, or choose another fit")
+        # not a submodule: the fit that contains this procedure also contains the model, and saves it only once
         self.__dict__["model"] = model
         self.linear = PolynomialLeastSquares(
             LinearModel(model.state_dim, model.input_dim, model.output_dim, model.delays, flow=model.reduced.flow,
@@ -56,7 +56,7 @@ class LinearStart(nn.Module):
         return self.linear.singular_values
 
     def sampled_every(self, timestep: float) -> None:
-        """Take the data's sampling time, s; see `PolynomialLeastSquares`."""
+        """Set the data's sampling time, s; see `PolynomialLeastSquares`."""
         self.linear.sampled_every(timestep)
 
     def regressions(self, segment: Segment, stage: str) -> dict[str, Regression]:
@@ -65,7 +65,7 @@ class LinearStart(nn.Module):
 
     @torch.no_grad()
     def assign(self, stage: str, solutions: Mapping[str, Solution]) -> None:
-        """Let the model begin from what was found."""
+        """Pass the solutions to the linear model, and the linear model to the model that starts from it."""
         self.linear.assign(stage, solutions)
         found = self.linear.model
         self.model.begin(found.chart, found.parametrization, found.A, found.B)

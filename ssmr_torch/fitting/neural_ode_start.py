@@ -1,4 +1,4 @@
-"""The linear model that a neural ODE starts its training from."""
+"""Closed-form fit of the linear and bilinear part of a neural ODE, from which its training starts."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ from ssmr_torch.models.ssmr import SSSR
 
 
 class NeuralODEStart(nn.Module):
-    """Coordinates, linear drift and bilinear control field of a `NeuralODE`, by the closed form of SSSR.
+    """Fits coordinates, linear drift and bilinear control field of a `NeuralODE` by the closed-form fit of SSSR.
 
-    The network is left as it is; where its last layer is zero, the model then is SSSR. options: of `SSMRLeastSquares`.
+    The network does not change. If its last layer is zero, the model is then equal to SSSR. options: those of
+    `SSMRLeastSquares`.
     """
 
     names = SSMRLeastSquares.names
 
     def __init__(self, model: NeuralODE, **options):
         super().__init__()
-        # not a submodule: the fit that holds this procedure also holds the model, and saves it once
+        # not a submodule: the fit that contains this procedure also contains the model, and saves it only once
         self.__dict__["model"] = model
         linear = SSSR(model.state_dim, model.input_dim, model.output_dim, model.delays, timestep=model.timestep,
                       window_timestep=model.window_timestep)
@@ -41,7 +42,7 @@ class NeuralODEStart(nn.Module):
 
     @torch.no_grad()
     def assign(self, stage: str, solutions: Mapping[str, Solution]) -> None:
-        """Put what SSSR has found in place."""
+        """Write the solutions of SSSR into the model."""
         self.sssr.assign(stage, solutions)
         found, model = self.sssr.model, self.model
         model.chart.copy_(found.chart)

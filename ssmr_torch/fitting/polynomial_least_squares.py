@@ -1,4 +1,4 @@
-"""Any polynomial model in closed form, from its structure: chart, then dynamics and parametrization in one pass."""
+"""Least-squares fit of any polynomial model in closed form: first its chart, then its dynamics and parametrization."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from ssmr_torch.periods import TOLERANCE
 
 
 class PolynomialLeastSquares(nn.Module):
-    """The regressions of a `PolynomialTorchModel`, over decays and controlled runs alike; its structure says which.
+    """The stages of the fit of a `PolynomialTorchModel`, over decays and controlled runs. Its structure gives the
+    terms.
 
-    coordinates: of the chart, the columns that are linear in the window ŷ and in the inputs û held within it; columns
-        beyond these stay as they are. With chart "tangent_space", SVD of the windows of the decays (manifold_data
-        "decays") or of all runs ("all"): the chart is the n leading directions, blind to the inputs until it is
-        refined. With chart "predictive", the outputs of the next `future` samples are regressed on [ŷ, û] and the
-        inputs that act meanwhile; what the past explains of them, a projection along the future inputs, has n leading
-        directions [subspace identification: Van Overschee and De Moor 1994]. It takes the inputs' part out of the
-        window, and what varies much without mattering later.
-    dynamics: what the scheme says of f(z, u) on its monomials: z⁺ of a map (ζ⁺ where that is lifted anew),
-        (z⁺ - z) / h of an Euler step, dz/dt by the stencil `derivative` of a flow;   parametrization: y on its own.
-
-    A table whose parameters are buffers is given, and stays; so is the chart of a model whose state is the lifted
-    window itself, and there is no stage for it.
+    coordinates: the columns of the chart that are linear in the window ŷ and in the inputs û held within it. Other
+        columns stay unchanged. chart "tangent_space": SVD of the windows of the decays (manifold_data "decays") or of
+        all runs ("all"). The chart is the n leading directions; it does not depend on the inputs until it is refined.
+        chart "predictive": the outputs of the next `future` samples are regressed on [ŷ, û] and on the inputs that act
+        meanwhile. The part that the past explains, a projection along the future inputs, has n leading directions
+        [subspace identification: Van Overschee and De Moor 1994]. This removes from the window the direct effect of the
+        inputs, and variation that does not matter for the future.
+    dynamics: regression on the monomials of f(z, u) of z⁺ for a map (ζ⁺ with relift), of (z⁺ - z) / h for an Euler
+        step, and of dz/dt, computed with the stencil `derivative`, for a flow. parametrization: regression of y.
+    A table whose parameters are buffers is given and stays unchanged. If the state is the lifted window itself, the
+    chart is given as well, and the stage "coordinates" is left out.
     Raises ValueError for another chart or manifold_data, for a window or a future with fewer values than n, for data
-    at another sampling time than the map's or the Euler step's, and in `assign` where a stage found no rows.
+    with another sampling time than that of the map or Euler step, and in `assign` if the data had no rows for a stage.
     """
 
     names = ("coordinates", "dynamics", "parametrization")
@@ -40,15 +40,15 @@ class PolynomialLeastSquares(nn.Module):
                  future: int = 10, manifold_data: str = "decays"):
         super().__init__()
         if not isinstance(model, PolynomialTorchModel):
-            raise ValueError(f"{type(model).__name__} is no polynomial model, a PolynomialTorchModel with a structure; "
-                             "choose the fit that its configuration brings")
+            raise ValueError(f"{type(model).__name__} is not a polynomial model; expected a PolynomialTorchModel with "
+                             "a structure. Use the fit in the configuration of this model")
         for name, value, options in (("manifold_data", manifold_data, ("decays", "all")),
                                      ("chart", chart, ("tangent_space", "predictive"))):
             if value not in options:
                 raise ValueError(f"{name} is {value!r}; expected one of {options}")
         if future < 1:
             raise ValueError(f"future is {future} samples; expected 1 or more")
-        # not a submodule: the fit that holds this procedure also holds the model, and saves it once
+        # not a submodule: the fit that contains this procedure also contains the model, and saves it only once
         self.__dict__["model"] = model
         self.derivative = derivative or central_difference(6)
         self.predictive, self.future, self.manifold_data = chart == "predictive", int(future), manifold_data
@@ -60,7 +60,7 @@ class PolynomialLeastSquares(nn.Module):
             self._prepare_chart()
 
     def _prepare_chart(self) -> None:
-        """Which columns of the chart are linear in ŷ, in its newest sample, and in û."""
+        """Find the columns of the chart that are linear in ŷ, in its newest sample, and in û."""
         model, (order, monomials) = self.model, (self.model.structure.window_order, self.model.structure.chart)
         linear = {column: order[factors[0]] for column, factors in enumerate(monomials.factors) if len(factors) == 1}
         seen = {column: place for column, place in linear.items() if place < model.window_dim}
@@ -72,17 +72,16 @@ class PolynomialLeastSquares(nn.Module):
             shown = (self.future + 1) * model.output_dim
             of_what = f"this and {self.future} further samples of {model.output_dim} outputs"
         if shown < model.state_dim:
-            raise ValueError(f"{shown} values in {of_what} are fewer than the {model.state_dim} reduced coordinates "
-                             "that their singular vectors must give; use more delays, a larger future or a smaller "
-                             "state_dim")
+            raise ValueError(f"{shown} values in {of_what}, fewer than the {model.state_dim} reduced coordinates that "
+                             "are computed from them; use more delays, a larger future or a smaller state_dim")
         self.singular_values = torch.zeros(max(model.window_dim, model.state_dim), dtype=torch.float64)
 
     def sampled_every(self, timestep: float) -> None:
-        """Take the data's sampling time, s. Raises ValueError where it is not what a map or an Euler step covers."""
+        """Set the data's sampling time, s. Raises ValueError unless a map or an Euler step covers exactly this time."""
         model = self.model.reduced
         if not model.flow and abs(model.base_timestep / timestep - 1) > TOLERANCE:
-            raise ValueError(f"a step of {type(self.model).__name__} covers {model.base_timestep} s, the data are "
-                             f"sampled every {timestep} s; fit it at the data's sampling time, or resample the data")
+            raise ValueError(f"a step of {type(self.model).__name__} covers {model.base_timestep} s, but the data are "
+                             f"sampled every {timestep} s; set the model's timestep to it, or resample the data")
 
     @property
     def flow(self) -> bool:
@@ -99,7 +98,7 @@ class PolynomialLeastSquares(nn.Module):
 
     @torch.no_grad()
     def regressions(self, segment: Segment, stage: str) -> dict[str, Regression]:
-        """The rows of a segment for the coordinates, or for the dynamics and the parametrization."""
+        """The rows of a segment for the chart, or for the dynamics and the parametrization."""
         model, delays = self.model, self.model.delays
         windows = delay_windows(segment.observation, delays)
         held = windows.new_zeros(len(windows), 0, model.input_dim)
@@ -114,7 +113,7 @@ class PolynomialLeastSquares(nn.Module):
         return {form: found[form]() for form in self.fitted}
 
     def _steps(self, segment: Segment, windows: Tensor, held: Tensor) -> tuple[Tensor, ...]:
-        """z, u, what a map or an Euler step makes of them, and what is seen of z, of every core sample."""
+        """For every core sample: z, u, the target of the map or Euler step, and the target of the parametrization."""
         model, delays = self.model, self.model.delays
         z = model.encode(windows, held)
         if model.structure.scheme == "euler":
@@ -124,7 +123,9 @@ class PolynomialLeastSquares(nn.Module):
         return self._core(segment, delays, z[:-1], segment.input[delays:-1], target, self._seen(windows)[:-1])
 
     def _flow(self, segment: Segment, windows: Tensor, held: Tensor) -> tuple[Tensor, ...]:
-        """z, the inputs that its derivative has felt, dz/dt, and what is seen of z."""
+        """For every core sample: z, the inputs within the stencil of the derivative, dz/dt, and the target of the
+        parametrization.
+        """
         stencil, delays, z = self.derivative, self.model.delays, self.model.encode(windows, held)
         width, rate = stencil.half_width, stencil(z, segment.timestep)
         middle = slice(width, width + len(rate))
@@ -132,7 +133,7 @@ class PolynomialLeastSquares(nn.Module):
                           self._seen(windows)[middle])
 
     def _seen(self, windows: Tensor) -> Tensor:
-        """The rows of the parametrization: the newest sample, or the whole window."""
+        """The target of the parametrization: the newest sample, or the whole window."""
         newest = len(self.model.reduced.parametrization) == self.model.output_dim
         return windows[:, -1] if newest else windows.flatten(1)
 
@@ -153,12 +154,12 @@ class PolynomialLeastSquares(nn.Module):
 
     @torch.no_grad()
     def assign(self, stage: str, solutions: Mapping[str, Solution]) -> None:
-        """Put the solutions of a stage in place. Raises ValueError when the data held no rows for it."""
+        """Write the solutions of a stage into the model. Raises ValueError if the data had no rows for it."""
         missing = [name for name in (["coordinates"] if stage == "coordinates" else self.fitted)
                    if name not in solutions]
         if missing:
-            raise ValueError(f"the {stage} stage found no rows for {missing}: the training data hold no decays, or no "
-                             "run is long enough; record some, use manifold_data=all or a smaller future")
+            raise ValueError(f"the {stage} stage found no data for {missing}: there are no decays among the training "
+                             "runs, or all are too short; record decays, or use manifold_data=all or a smaller future")
         if stage == "coordinates":
             self._assign_coordinates(solutions["coordinates"])
             return
@@ -183,7 +184,7 @@ class PolynomialLeastSquares(nn.Module):
         self.singular_values[:known] = values[:known]
         size = solution.rows ** 0.5 / values[:n].clamp_min(1e-300)
         reach = torch.linalg.vector_norm(past[:, self.newest])
-        # every coordinate as large as the outputs, so that one range of states speaks for all
+        # scale every coordinate to the size of the outputs, so that all have the same range
         chart[:, self.linear] = size[:, None] * reach / solution.rows ** 0.5 * (directions[:n] @ explained)
         _put(model, "chart", chart)
 
@@ -193,19 +194,19 @@ class PolynomialLeastSquares(nn.Module):
 
 
 def _run(columns: list[int]) -> slice | list[int]:
-    """Columns that follow each other as a slice, which copies nothing."""
+    """Consecutive columns as a slice, which needs no copy; other columns unchanged."""
     follow = columns == list(range(columns[0], columns[0] + len(columns))) if columns else False
     return slice(columns[0], columns[-1] + 1) if follow else columns
 
 
 def _is_fitted(model: PolynomialTorchModel, form: str) -> bool:
-    """Whether the parameters of a table are to be found: neither buffers nor empty."""
+    """Whether a table is fitted: its parameters are neither buffers nor empty."""
     parameters = dict(model.named_parameters())
     return all(part in parameters and parameters[part].numel() for part in model.tables[form])
 
 
 def _put(model: PolynomialTorchModel, form: str, coefficients: Tensor) -> None:
-    """The columns of a table into the parameters that make it, side by side."""
+    """Write the columns of a table into the parameters that form it side by side."""
     parts = [getattr(model, part) for part in model.tables[form]]
     for part, columns in zip(parts, coefficients.split([part.shape[1] for part in parts], dim=1)):
         part.copy_(columns)

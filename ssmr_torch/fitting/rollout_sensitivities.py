@@ -23,7 +23,7 @@ GROUPS = ("dynamics", "chart", "parametrization")
 
 
 class OutputSensitivity(NamedTuple):
-    """Of the sample k steps after the start: outputs (N, p), jacobian (N, p, P) with the columns of `coefficients`."""
+    """At one step after the start: outputs (N, p), and jacobian (N, p, P) with the columns of `coefficients`."""
 
     step: int
     outputs: Tensor
@@ -31,10 +31,10 @@ class OutputSensitivity(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """K integrator steps z⁺ = z + Σ_s G_s f_s, each of which evaluates the dynamics f_s = R φ_s at s stages.
+    """K integrator steps z⁺ = z + Σ_s G_s f_s. Each evaluates the dynamics f_s = R φ_s at its stages s.
 
-    states (N, K + 1, n) with the initial ones; transitions ∂z⁺/∂z (N, K, n, n); gains G = ∂z⁺/∂f (N, K, n, s, n);
-    regressors φ of each stage, (N, K, q).
+    states (N, K + 1, n), including the initial states; transitions ∂z⁺/∂z (N, K, n, n); gains G = ∂z⁺/∂f (N, K, n, s,
+    n); regressors φ of each stage, (N, K, q).
     """
 
     states: Tensor
@@ -43,49 +43,49 @@ class Steps(NamedTuple):
     regressors: tuple[Tensor, ...]
 
     def until(self, count: int) -> Steps:
-        """The first `count` of them."""
+        """The first `count` steps."""
         return Steps(self.states, self.transitions[:, :count], self.gains[:, :count],
                      tuple(stage[:, :count] for stage in self.regressors))
 
 
 def coefficients(model: TorchModel, groups: Sequence[str] = GROUPS) -> list[Tensor]:
-    """Views of the coefficient tables in which the rollout is differentiated, in the order of the columns.
+    """Views of the coefficient tables by which the rollout is differentiated, in the order of the columns.
 
-    dynamics: all tables of the reduced dynamics, as one (n, q) where there are two; chart: (n, k); parametrization:
-    the newest sample's rows (p, q_w), the only ones that a prediction uses.
-    Raises ValueError for another group, or one in which the model has no coefficients.
+    dynamics: all tables of the reduced dynamics; two tables count as one table (n, q). chart: (n, k). parametrization:
+    only the rows of the newest sample (p, q_w), because a prediction uses no others.
+    Raises ValueError for another group, or for a group without coefficients.
     """
     _ = dynamics_tables(model)
     unknown = [group for group in groups if group not in GROUPS]
     if unknown or not groups:
-        raise ValueError(f"trained is {list(groups)}; expected some of {GROUPS}")
+        raise ValueError(f"trained is {list(groups)}; expected one or more of {GROUPS}")
     empty = [group for group in groups if not any(getattr(model, name).numel() for name in model.tables[group])]
     if empty:
-        raise ValueError(f"trained is {list(groups)}, but {type(model).__name__} has no coefficients of its "
-                         f"{empty[0]}; leave it out")
+        raise ValueError(f"trained is {list(groups)}, but {type(model).__name__} has no coefficients in its "
+                         f"{empty[0]}; remove {empty[0]} from trained")
     rows = {"dynamics": slice(None), "chart": slice(None), "parametrization": slice(-model.output_dim, None)}
     return [getattr(model, name).data[rows[group]] for group in GROUPS if group in groups
             for name in model.tables[group]]
 
 
 def dynamics_tables(model: TorchModel) -> list[Tensor]:
-    """Views of the tables of the reduced dynamics, whose columns follow each other in `dynamics_regressors`.
+    """Views of the tables of the reduced dynamics. Their columns are in the order of `dynamics_regressors`.
 
-    Raises ValueError for a model whose dynamics are no table times regressors.
+    Raises ValueError for a model whose dynamics are not a table times regressors.
     """
     if "dynamics" not in model.tables or model.structure.relift:
-        raise ValueError(f"{type(model).__name__} has no coefficient tables; Gauss-Newton steps and the stability "
-                         "guard take SSMR, SSSR, control-augmented and other models that name their tables; the rest "
-                         "are refined with fit=rollout")
+        raise ValueError(f"{type(model).__name__} has no coefficient tables. Gauss-Newton fits and the stability guard "
+                         "need a model with named tables, such as SSMR, SSSR or a control-augmented model; refine this "
+                         "model with fit=rollout")
     return [getattr(model, name).data for name in model.tables["dynamics"]]
 
 
 @torch.no_grad()
 def rollout_sensitivities(model: TorchModel, batch: RolloutBatch, steps: Sequence[int],
                           groups: Sequence[str] = GROUPS) -> Iterator[OutputSensitivity]:
-    """Outputs and their derivatives after each of `steps` (ascending, from 1), for all starts of a batch at once.
+    """Outputs and their derivatives after each of `steps` (ascending, 1 or more), for all starts of a batch at once.
 
-    The sensitivities are those of the discretized model: Runge-Kutta stages are differentiated one by one.
+    The derivatives are those of the discretized model: each Runge-Kutta stage is differentiated.
     """
     widths, model = [table.shape[1] for table in dynamics_tables(model)], model.reduced
     taken, within = _steps(model, batch, max(steps)), _within(model)
@@ -103,7 +103,7 @@ def rollout_sensitivities(model: TorchModel, batch: RolloutBatch, steps: Sequenc
 
 
 def _adjoints(C: Tensor, transitions: Tensor) -> tuple[Tensor, Tensor]:
-    """Λ_0 (N, p, n), and Λ_1 … Λ_k (N, k, p, n), back from Λ_k = C through transitions (N, k, n, n)."""
+    """Λ_0 (N, p, n) and Λ_1 … Λ_k (N, k, p, n), computed backwards from Λ_k = C through transitions (N, k, n, n)."""
     adjoints = [C]
     for A in reversed(transitions.unbind(1)):
         adjoints.append(adjoints[-1] @ A)
@@ -111,7 +111,7 @@ def _adjoints(C: Tensor, transitions: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _within(model: PolynomialModel) -> int:
-    """Integrator steps within a timestep."""
+    """Number of integrator steps within a timestep."""
     return model.substeps if model.flow else model.repeats
 
 
@@ -125,7 +125,7 @@ def _steps(model: PolynomialModel, batch: RolloutBatch, count: int) -> Steps:
 
 
 def states_of(model: PolynomialModel, z: Tensor, inputs: Tensor, bound: float = torch.inf) -> Tensor:
-    """States (N, H + 1, n), compiled; not numbers from where ‖z‖ exceeds the bound."""
+    """States (N, H + 1, n), by compiled code; NaN from the step at which ‖z‖ exceeds the bound."""
     states, diverged_at = batch_of(model).rollout(z.numpy(force=True), inputs.numpy(force=True), bound=bound)
     states[np.arange(states.shape[1]) >= diverged_at[:, None]] = np.nan
     return torch.from_numpy(states).to(z.device)
@@ -156,7 +156,7 @@ def _runge_kutta_steps(model: PolynomialModel, z: Tensor, u: Tensor) -> tuple[Te
         stage = start + ahead * rate
     identity = torch.eye(model.state_dim, dtype=z.dtype, device=z.device)
     transition, gains, through = identity, [], 0.0
-    # from the last stage to the first: a rate acts on z⁺ by its own share and through the stage that it leads to
+    # from the last stage to the first: a rate changes z⁺ directly by its weight, and through the stage after it
     for by_state, share, ahead in zip(reversed(jacobians), (1.0, 2.0, 2.0, 1.0), (0.0, h, 0.5 * h, 0.5 * h)):
         gains.insert(0, share * h / 6.0 * identity + ahead * through)
         through = gains[0] @ by_state
@@ -167,12 +167,12 @@ def _runge_kutta_steps(model: PolynomialModel, z: Tensor, u: Tensor) -> tuple[Te
 
 
 def _by_step(rows: Tensor, z: Tensor) -> Tensor:
-    """(q, N K) as (N, K, q), of as many steps as z has, without a copy."""
+    """(q, N K) as (N, K, q), without a copy; K is the number of steps in z."""
     return rows.unflatten(1, z.shape[:2]).permute(1, 2, 0)
 
 
 def _of_dynamics(model: PolynomialModel, widths: list[int], after: Tensor, before: Steps) -> list[Tensor]:
-    """For each dynamics table, Σ Λ G ⊗ φ over all stages of all steps, (N, p, n q): a product per start and stage."""
+    """Σ Λ G ⊗ φ over all stages of all steps, for each dynamics table: (N, p, n q)."""
     felt = (after @ before.gains.flatten(-2)).unflatten(-1, (-1, model.state_dim))
     felt = felt.permute(3, 0, 2, 4, 1).flatten(2, 3).contiguous()
     total = felt[0] @ before.regressors[0]

@@ -1,4 +1,4 @@
-"""Adam on coefficients measured in units of their own effect."""
+"""Adam on scaled coefficients, so that one learning rate fits coefficients of very different size."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from ssmr_torch.models.torch_model import TorchModel
 
 
 class ScaledAdam(torch.optim.Adam):
-    """Adam on θ / s for every group that gives a `scale` s of the shape of its one parameter.
+    """Adam on θ / s, for every group that has a `scale` s with the shape of its one parameter.
 
-    A cubic coefficient of dynamics in metres is a million times a linear one; a step of Adam has one size for all.
+    With lengths in metres, a cubic coefficient of the dynamics is a million times larger than a linear one, but a step
+    of Adam has the same size for all.
     """
 
     def __init__(self, groups: list[dict], lr: float, weight_decay: float = 0.0):
@@ -24,7 +25,7 @@ class ScaledAdam(torch.optim.Adam):
 
     @torch.no_grad()
     def clip(self, largest: float) -> None:
-        """Shrink the gradient with respect to θ / s to at most this norm; one that is not finite becomes zero."""
+        """Limit the norm of the gradient with respect to θ / s. A gradient that is not finite becomes zero."""
         pairs = [(p, s) for p, s in self._scaled() if p.grad is not None]
         norm = sum((p.grad * s).square().sum() for p, s in pairs) ** 0.5
         for parameter, _ in pairs:
@@ -50,5 +51,5 @@ class ScaledAdam(torch.optim.Adam):
 
 
 def table_scales(model: TorchModel) -> dict[str, Tensor]:
-    """The scales of a model's tables by their names, see `TorchModel.scales`; none of a model that was not fitted."""
+    """The scales of a model's tables by name, see `TorchModel.scales`; empty for a model that was not fitted."""
     return {} if model.state_scale.isinf().any() else model.scales()

@@ -1,4 +1,4 @@
-"""What a model in training is judged by: the open-loop score of evaluation, under the names that loggers show."""
+"""Validation and test scores during training: open-loop prediction errors, under the names that loggers show."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ SHORTER = {"rmse_50ms": 0.05, "rmse_200ms": 0.2}  # s
 
 
 def scores(model, scored: ScoredRuns) -> dict[str, float]:
-    """rmse: mean error over the horizon, m, that of `score_open_loop` with these runs, starts and seed, infinite when a
-    start diverges; rmse_median, and diverged, the share that does; rmse_50ms, rmse_200ms: over these shorter horizons,
-    where they hold a sample; relative: geometric mean over the horizons of the error divided by that of
-    persistence, ŷ_k = y_0, in which short and long ones count alike; rmse_persistence, rmse_constant_velocity: of the
-    baselines from the same starts.
+    """Scores of a model, by name.
 
-    All of them are of the controlled runs where any of these holds the horizon, for decays are many and easy, and a
-    mean over both would be theirs. Those of decays beside them are rmse_decays and diverged_decays.
+    rmse: mean error over the horizon, m, as in `score_open_loop` with the same runs, starts and seed; infinite if a
+    start diverges. rmse_median: its median. diverged: share of starts that diverge.
+    rmse_50ms, rmse_200ms: rmse over these shorter horizons, if they contain a sample.
+    relative: geometric mean, over the horizons, of the error divided by the error of persistence, ŷ_k = y_0. Short and
+    long horizons have the same weight in it.
+    rmse_persistence, rmse_constant_velocity: errors of these baselines from the same starts.
+
+    All these scores use the controlled runs, if any of them is as long as the horizon. Decays are many and easy to
+    predict, so that they would dominate a common mean. Their scores are rmse_decays and diverged_decays.
     """
     judged, beside = _apart(model, scored)
     forecaster = Forecaster(as_predictor(model), Recording.of(judged.runs, judged.seen))
@@ -51,8 +54,9 @@ def _of_decays(model, scored: ScoredRuns | None) -> dict[str, float]:
 
 
 def _apart(model, scored: ScoredRuns) -> tuple[ScoredRuns, ScoredRuns | None]:
-    """The controlled runs, and the decays, as far as any of them holds the horizon and a window; the decays first, and
-    nothing beside them, where they are all.
+    """Controlled runs and decays, each only if at least one of its runs is as long as the horizon and a window.
+
+    Without controlled runs, the decays come first, with None after them.
     """
     needed = Forecaster(as_predictor(model), Recording.of(scored.runs, scored.seen)).margin
     parts = []
@@ -66,8 +70,8 @@ def _apart(model, scored: ScoredRuns) -> tuple[ScoredRuns, ScoredRuns | None]:
 
 
 def diverged_under_stress(model, scored: ScoredRuns, factor: float, speed: int) -> float:
-    """Share of the rollouts that diverge under inputs `factor` times as strong, played `speed` times as fast; of the
-    runs that `scores` judges by.
+    """Share of the rollouts that diverge under inputs `factor` times larger and played `speed` times faster, for the
+    same runs as in `scores`.
     """
     predictor, (judged, _) = as_predictor(model), _apart(model, scored)
 
@@ -79,7 +83,7 @@ def diverged_under_stress(model, scored: ScoredRuns, factor: float, speed: int) 
 
 
 def hurried(inputs: np.ndarray, factor: int) -> np.ndarray:
-    """Inputs (N, H, m) played `factor` times as fast, forwards, backwards, … until H steps are full."""
+    """Inputs (N, H, m) played `factor` times faster: forwards, then backwards, and so on, until H steps are filled."""
     fast = inputs[:, ::factor]
     pieces = [fast[:, ::-1] if piece % 2 else fast for piece in range(factor)]
     return np.concatenate(pieces, axis=1)[:, :inputs.shape[1]]

@@ -1,4 +1,4 @@
-"""A slow-fast model chosen from the data, as a fit of Lightning's: one epoch, in which the selection runs."""
+"""Selection of a slow-fast model from the data, as a Lightning fit with one epoch."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from ssmr_torch.selection.settings import SelectionSettings
 class SelectionFit(ModelFit):
     """Chooses the form of a `SlowFast` model from the training runs, fits it and reports why; see `choose`.
 
-    settings: `SelectionSettings`, which says what each is; changes: some of them by name, in their place. progress:
-    whether a line shows which stage the selection is in.
-    choice: what was found, None before. found, facts: its sentences and plain values, for the report.
+    settings: `SelectionSettings`, which explains each setting. changes: settings by name, which replace those.
+    progress: whether a line shows the present stage of the selection.
+    choice: the result, None before the fit. found, facts: its sentences and its plain values, for the report.
     Raises ValueError for outputs that the data do not have, or data without controlled runs, before any work.
     """
 
@@ -31,7 +31,8 @@ class SelectionFit(ModelFit):
     def __init__(self, model: SlowFast, settings: SelectionSettings | None = None, *, progress: bool = True, **changes):
         super().__init__(model)
         if not isinstance(model, SlowFast):
-            raise ValueError(f"the selection makes a SlowFast model, not a {type(model).__name__}; choose model=auto")
+            raise ValueError(f"the selection can fit only a SlowFast model, but the model is a {type(model).__name__}; "
+                             "use model=auto")
         settings = (SelectionSettings() if settings is None else settings).changed(**changes)
         self.__dict__["settings"], self.progress = settings, bool(progress)
         self.procedure = _WholeRuns()
@@ -45,12 +46,13 @@ class SelectionFit(ModelFit):
 
     def on_train_start(self) -> None:
         if self.trainer.world_size > 1:
-            raise ValueError(f"{self.trainer.world_size} processes; a selection runs in one (trainer.devices=1)")
+            raise ValueError(f"{self.trainer.world_size} processes; a selection runs in one process: set "
+                             "trainer.devices=1")
         dataset = self.trainer.datamodule.dataset
         check_learnable(dataset)
         driven = [run for run in self.trainer.datamodule.training if run.kind != "decay"]
         if driven:
-            refuse_still_inputs(dataset, [run.extremes() for run in driven])  # though decays may have another level
+            refuse_still_inputs(dataset, [run.extremes() for run in driven])  # decays may have another constant input
 
     @torch.no_grad()
     def training_step(self, segment: Segment, index: int) -> None:
@@ -61,11 +63,11 @@ class SelectionFit(ModelFit):
         scored = self.settings.scored
         strange = [name for name in scored or () if name not in names]
         if strange:
-            raise ValueError(f"scored names {strange}, which are no outputs; there are {names}")
+            raise ValueError(f"scored names {strange}, but the data have no such outputs; their outputs are {names}")
         decays, controlled = ([self._coarser(run) for run in runs if (run.kind == "decay") == decay]
                               for decay in (True, False))
         if not controlled:
-            raise ValueError("no controlled runs to learn from; record some, under inputs like those of the use")
+            raise ValueError("there are no controlled training runs; record some, with inputs like those in later use")
         settings = self.settings
         if settings.symmetry == "find":
             settings = settings.changed(symmetry=self.trainer.datamodule.dataset.provenance.get("symmetry", "find"))
@@ -80,7 +82,7 @@ class SelectionFit(ModelFit):
         self.optimizers().step()
 
     def _coarser(self, run) -> tuple:
-        """Outputs and inputs of a run every timestep of the model; of inputs that change meanwhile, their mean."""
+        """Outputs and inputs of a run, resampled to the model's timestep; inputs that change meanwhile are averaged."""
         dt = self.trainer.datamodule.dataset.timestep
         stride = whole_multiple("the model's timestep", self.model.timestep, "the sampling time of the recordings", dt,
                                 "give a multiple of it, or leave timestep out")
@@ -94,6 +96,6 @@ class SelectionFit(ModelFit):
 
 
 class _WholeRuns:
-    """What a data module must know of a procedure that looks at whole runs."""
+    """The attributes that a data module reads, for a procedure that needs whole runs."""
 
     before = after = 0

@@ -64,7 +64,7 @@ class Training:
             lines += [f"{fit}: diverged training rollouts: " + ", ".join(
                 f"{kind} {100 * share:.3g} %" for kind, share in report["diverged"].items())]
             lines += report.get("found", [])
-            lines += [f"look here: {warning}" for warning in report["warnings"]]
+            lines += [f"warning: {warning}" for warning in report["warnings"]]
         lines.append("cost: " + ", ".join(f"{name} {value:.4g}" for name, value in self.cost.items()))
         return "\n".join([*lines, f"checkpoint: {self.checkpoint}"])
 

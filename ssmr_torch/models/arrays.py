@@ -1,8 +1,8 @@
-"""Arrays of NumPy and of Torch through one set of functions.
+"""One set of array functions for NumPy and Torch, so that each model is written once.
 
-What both libraries call alike, with positional arguments alike: concatenate, stack, where, tanh, exp, ones_like,
-zeros_like, isfinite; `@`, arithmetic, `sum(-1)`, `swapaxes`, `reshape`. NumPy arrays of objects, such as CasADi's
-symbols, go the same way as numbers.
+The models use only what both libraries call by the same name and with the same positional arguments: concatenate,
+stack, where, tanh, exp, ones_like, zeros_like, isfinite; `@`, arithmetic, `sum(-1)`, `swapaxes`, `reshape`. NumPy
+arrays of objects, such as symbols of CasADi, work as well.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ Array = Any  # numpy.ndarray, or torch.Tensor on any device
 
 
 def namespace(array: Array):
-    """The library of an array: `numpy`, or `torch` for a tensor, which whoever has one has imported."""
+    """The library of an array: the module `numpy`, or the module `torch` for a tensor. Torch is imported only then."""
     if isinstance(array, np.ndarray):
         return np
     import torch
@@ -24,7 +24,10 @@ def namespace(array: Array):
 
 
 def like(array: Array, values: np.ndarray) -> Array:
-    """These values as an array of the same library, on the same device: floats in its precision, integers as such."""
+    """The values as an array of the same library and on the same device as `array`.
+
+    Floating-point values take the precision of `array`; integers stay integers.
+    """
     xp = namespace(array)
     if xp is np:
         return values

@@ -1,4 +1,7 @@
-"""What every reduced model offers, written once for arrays of NumPy and of Torch."""
+"""`Model`, the base class of all reduced models: chart, parametrization, step, linearization and rollout.
+
+It is written once for arrays of NumPy and of Torch.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,8 @@ class OutputLinearization(NamedTuple):
 
 
 class Rollout(NamedTuple):
-    """states (..., H+1, n) with the initial one; diverged_at (...): first diverged step, H+1 where none is."""
+    """states (..., H+1, n), the initial state first; diverged_at (...): first diverged step, H+1 if no step diverged.
+    """
 
     states: Array
     diverged_at: Array
@@ -44,19 +48,21 @@ class Rollout(NamedTuple):
 class Model(DataSheet, ABC):
     """Discrete-time reduced model z⁺ = f(z, u), with chart z = v(window) and parametrization y = w(z).
 
-    Arrays and constants, without Torch: this is what an artifact holds and a controller runs. Fields annotated `Array`
-    are arrays (NumPy: float64, read-only; or Torch tensors, then everything below takes and gives tensors), all others
-    hold structure or plain values. A family adds its arrays and the five abstract functions; nothing else is needed.
+    A model consists of arrays and constants and needs no Torch. An artifact stores it, and a controller runs it. Fields
+    annotated `Array` are arrays: read-only float64 NumPy arrays, or Torch tensors; with tensors, all methods take and
+    return tensors. All other fields hold structure or plain values. A new kind of model adds its arrays and the five
+    abstract methods; it needs nothing else.
 
     state_scale: (n,) largest |z_i| of the training data, infinite before a fit. input_dim m, output_dim p (one sample).
     delays n_d: a window is the n_d + 1 newest samples, oldest first, `window_timestep` s apart, (..., n_d + 1, p),
     with the n_d inputs held between them (..., n_d, m). timestep: length of one `step` in s. Everything is SI.
 
-    c_source, compiled, batched: "module:function" that writes this family in C, gives a compiled horizon of it, or
-    many rollouts of it at once, compiled, a `BatchRollout`; None: it has no C form, a controller goes through
-    `linearize`, and many rollouts are those of `rollout`.
+    c_source, compiled, batched: each names a function as "module:function".
+        c_source writes the model in C. None: the model cannot be written in C.
+        compiled returns the compiled horizon of a controller. None: the controller calls `linearize`.
+        batched returns a compiled `BatchRollout`, for many rollouts at once. None: they go through `rollout`.
 
-    Raises ValueError for sizes that are no positive whole numbers, or times that are not positive and finite.
+    Raises ValueError for sizes that are not positive whole numbers, or times that are not positive and finite.
     """
 
     c_source: ClassVar[str | None] = None
@@ -86,13 +92,13 @@ class Model(DataSheet, ABC):
         return tuple(field.name for field in fields(cls) if field.name not in cls.array_names())
 
     def plain(self) -> dict:
-        """Structure and plain values as JSON has them, such that `from_plain(arrays, plain)` is this model again."""
+        """Structure and plain values as JSON values; `from_plain(arrays, plain)` returns the same model."""
         values = {name: getattr(self, name) for name in self.plain_names()}
         return {name: value.item() if isinstance(value, np.generic) else value for name, value in values.items()}
 
     @classmethod
     def from_plain(cls, arrays: dict[str, Array], plain: dict) -> Self:
-        """The model with these arrays and what `plain` gave."""
+        """The model with these arrays and the values that `plain` returned."""
         return cls(**arrays, **plain)
 
     @property
@@ -101,7 +107,7 @@ class Model(DataSheet, ABC):
         return {name: getattr(self, name) for name in self.array_names()}
 
     def __reduce__(self):
-        # a copy and what is unpickled are made anew: with read-only arrays, and without what was derived from others
+        # copying and unpickling call the constructor: the arrays are read-only again, and no cached value is copied
         return _made, (type(self), {field.name: getattr(self, field.name) for field in fields(self)})
 
     def with_arrays(self, change) -> Self:
@@ -114,7 +120,7 @@ class Model(DataSheet, ABC):
 
     @property
     def reduced(self) -> Self:
-        """This model: who offers one, such as a Torch module or what `fit` returns, gives it under this name."""
+        """This model itself. A Torch module and the result of `fit` return their model under the same name."""
         return self
 
     @property
@@ -129,7 +135,7 @@ class Model(DataSheet, ABC):
 
     @property
     def affine(self) -> bool:
-        """Whether z⁺ is affine in (z, u), and y in z, everywhere: a controller then condenses once for all."""
+        """Whether z⁺ is affine in (z, u), and y in z, everywhere. A controller then condenses its problem only once."""
         return False
 
     @property
@@ -139,17 +145,17 @@ class Model(DataSheet, ABC):
 
     @property
     def takes_past_inputs(self) -> bool:
-        """Whether the chart looks at the inputs held within the window."""
+        """Whether the chart uses the inputs held within the window."""
         return True
 
     @property
     def kind(self) -> str:
-        """The family's name on a card."""
+        """Name of this kind of model on a model card."""
         return type(self).__name__
 
     @property
     def geometry(self) -> str:
-        """What a card says of the chart and the parametrization."""
+        """Text on a model card about the chart and the parametrization."""
         return (f"{self.state_dim} states from windows of {self.delays + 1} samples of {self.output_dim} outputs, "
                 f"{self.window_timestep:g} s apart")
 
@@ -159,8 +165,9 @@ class Model(DataSheet, ABC):
 
     @cached_property
     def rates(self) -> np.ndarray:
-        """Eigenvalues λ of the dynamics linearized at z = 0, u = 0, (n,) 1/s: e^{λ timestep} are those of A."""
-        with np.errstate(invalid="ignore"):  # of a range that is infinite before a fit
+        """Eigenvalues λ (n,), 1/s, of the dynamics linearized at z = 0, u = 0; e^{λ timestep} are the eigenvalues of A.
+        """
+        with np.errstate(invalid="ignore"):  # state_scale is infinite before a fit
             A = self.numpy().linearize(np.zeros(self.state_dim), np.zeros(self.input_dim)).A
         return continuous(eigenvalues(A), self.timestep)
 
@@ -181,7 +188,7 @@ class Model(DataSheet, ABC):
         """First-order expansion of `step`, batched over the leading dimensions."""
 
     def step_jacobians(self, z: Array, u: Array) -> tuple[Array, Array, Array]:
-        """`step`, ∂z⁺/∂z (..., n, n) and ∂z⁺/∂u (..., n, m); a family that has them at hand overrides it."""
+        """`step`, ∂z⁺/∂z (..., n, n) and ∂z⁺/∂u (..., n, m); a model that computes them together overrides this."""
         A, B, _ = self.linearize(z, u)
         return self.step(z, u), A, B
 
@@ -190,7 +197,7 @@ class Model(DataSheet, ABC):
         """First-order expansion of `decode`, batched over the leading dimensions."""
 
     def at_timestep(self, timestep: float) -> Self:
-        """The same model with `step` covering another time in s; the spacing of the window stays."""
+        """The same model with another length of `step`, in s; the time between the samples of the window stays."""
         return replace(self, timestep=float(timestep))
 
     def states(self, z: Array, inputs: Array) -> Array:
@@ -201,11 +208,13 @@ class Model(DataSheet, ABC):
         return namespace(z).stack(found, -2)
 
     def rollout(self, z: Array, inputs: Array, *, lengths: Array | None = None, bound: float | None = None) -> Rollout:
-        """`states`, and where they diverged: at the first step whose norm exceeds `bound`.
+        """`states`, and the step at which each rollout diverged: the first one with ‖z‖ > bound.
 
-        A diverged rollout is frozen at its last state inside the bound, so that it stays finite. bound: None for
-        `DIVERGENCE_FACTOR` ‖state_scale‖. lengths (...): steps after which a rollout ends, and is frozen as well, with
-        diverged_at its length + 1; None for the whole horizon H. Many at once are faster by `batch_rollout.batch_of`.
+        A diverged rollout keeps its last state inside the bound, so that all states stay finite.
+        bound: None means `DIVERGENCE_FACTOR` ‖state_scale‖.
+        lengths (...): steps after which each rollout ends; it then keeps its last state, and its diverged_at is its
+        length + 1. None means the whole horizon H.
+        `batch_rollout.batch_of` is faster for many rollouts at once.
         """
         xp, horizon = namespace(z), inputs.shape[-2]
         if bound is None:
@@ -232,12 +241,12 @@ class Model(DataSheet, ABC):
 
 def check_sizes(state_dim: int, input_dim: int, output_dim: int, delays: int, timestep: float,
                 window_timestep: float) -> None:
-    """Raises ValueError for sizes and times, s, that no model can have, see `Model`."""
+    """Check the sizes and times (s) of a model. Raises ValueError for those that no model can have, see `Model`."""
     for name, size in (("state_dim", state_dim), ("input_dim", input_dim), ("output_dim", output_dim)):
         if int(size) != size or size < 1:
             raise ValueError(f"{name} is {size}; expected a positive integer")
     if int(delays) != delays or delays < 0:
-        raise ValueError(f"delays is {delays}; expected 0 or more, a whole number (a window holds delays + 1 samples)")
+        raise ValueError(f"delays is {delays}; expected a whole number, 0 or more (a window holds delays + 1 samples)")
     if not (0 < timestep < np.inf and 0 < window_timestep < np.inf):
         raise ValueError(f"timestep {timestep} s and window_timestep {window_timestep} s must be positive and finite")
 
@@ -252,13 +261,13 @@ def _made(family: type[Model], values: dict) -> Model:
 
 
 def eigenvalues(matrix: np.ndarray) -> np.ndarray:
-    """Of a matrix (n, n), complex (n,); not numbers where the matrix is not finite."""
+    """Eigenvalues (n,), complex, of a matrix (n, n); NaN if the matrix is not finite."""
     finite = np.isfinite(matrix).all()
     return np.linalg.eigvals(matrix).astype(complex) if finite else np.full(len(matrix), complex("nan"))
 
 
 def continuous(factors: np.ndarray, time: float) -> np.ndarray:
-    """Rates λ, 1/s, of modes that e^{λ time} = factors multiplies within a time in s; −∞ of those that are gone."""
+    """Rates λ, 1/s, with e^{λ time} = factors, for a time in s; −∞ for a factor of zero."""
     with np.errstate(divide="ignore"):
         return np.log(np.abs(factors)) / time + 1j * (np.angle(factors) / time)
 
@@ -268,7 +277,7 @@ def _norm(xp, z: Array) -> Array:
 
 
 def _fixed(array: Any) -> Any:
-    """A tensor as it is, NumPy arrays and numbers as a read-only array of its own."""
+    """A tensor unchanged; a NumPy array or a number as a read-only float64 array that owns its data."""
     if not isinstance(array, (np.ndarray, Sequence, Number)):
         return array
     if isinstance(array, np.ndarray) and array.dtype == np.float64:

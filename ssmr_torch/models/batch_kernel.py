@@ -1,8 +1,9 @@
-"""The compiled batch of a polynomial model: many starts side by side, a vector instruction for several of them.
+"""Compiled rollouts of a polynomial model from many starts at once.
 
-What belongs to one start is a lane, the last index of every array here: a monomial of all of them is one product of two
-rows, and a table times monomials is a product of matrices. A row of a table with few entries, as those of a shift
-register, is summed up by its entries alone.
+The rollouts of a block advance together, so that one vector instruction serves several starts. One start is one lane:
+the last index of every array here. A monomial for all lanes is then the product of two rows, and a table times
+monomials is a product of matrices. A table row with few nonzero entries, such as one of a shift register, adds only
+those entries.
 """
 
 from __future__ import annotations
@@ -18,21 +19,24 @@ from ssmr_torch.models.split import output_table, products
 from ssmr_torch.models.structure import SCHEMES
 
 RUNGE_KUTTA, EULER = SCHEMES.index("runge_kutta"), SCHEMES.index("euler")
-LANES = 64         # starts in a block: the monomials of so many stay in the cache
-VECTOR = 8         # lanes are a multiple of it
-ROWS, COLUMNS = 4, 4   # of a full table that are multiplied at a time
-SPARSE = 3         # an entry that is summed up alone takes as long as so many of a full table
+LANES = 64         # starts in a block: their monomials fit into the cache
+VECTOR = 8         # the number of lanes is a multiple of this
+ROWS, COLUMNS = 4, 4   # block of a full table that is multiplied at a time
+SPARSE = 3         # time for one entry of a sparse row, in entries of a full row
 
-# Sums may be reordered, but NaN and infinity must keep their meaning: they say that a rollout diverged.
+# The compiler may reorder sums, but must keep NaN and infinity, because they mark a diverged rollout.
 compiled = njit(cache=True, fastmath={"reassoc", "contract"})
 
 
 class FormTables(NamedTuple):
-    """A form as the kernel reads it. products (2, ·): entry 1 + variables + i of the closure is entry products[0, i]
-    times variable products[1, i]. full (R, C): the table's rows full_rows at the entries full_columns of the closure,
-    with zeros up to whole multiples of what is multiplied at a time, which rows of their own after the last take: were
-    two the same, nothing could be computed side by side.
-    sparse_rows (S,): the others; entries sparse_first[i] to sparse_first[i + 1] of sparse_columns and sparse_values.
+    """A form in the layout that the kernel reads.
+
+    products (2, ·): entry 1 + variables + i of the closure is entry products[0, i] times variable products[1, i].
+    full (R, C): the rows full_rows of the table at the entries full_columns of the closure. Zeros fill R and C up to
+    whole multiples of ROWS and COLUMNS. The added rows write to separate rows after the last one: if two rows were the
+    same, the compiler could not vectorize.
+    sparse_rows (S,): the other rows. Row i has the entries sparse_first[i] to sparse_first[i + 1] of sparse_columns and
+    sparse_values.
     """
 
     products: np.ndarray
@@ -46,7 +50,7 @@ class FormTables(NamedTuple):
 
 
 class CompiledBatch(BatchRollout):
-    """Of a `PolynomialModel`, compiled: equal to `Model.rollout` but for the order of the sums."""
+    """Compiled rollouts of a `PolynomialModel`. They differ from `Model.rollout` only in the order of the sums."""
 
     def __init__(self, model):
         super().__init__(model)
@@ -70,7 +74,7 @@ class CompiledBatch(BatchRollout):
         return found, self._in_outputs(seen) if outputs else seen, diverged_at
 
     def _in_outputs(self, seen: np.ndarray) -> np.ndarray:
-        """From the model's coordinates, infinite from where a rollout diverged, to outputs."""
+        """Outputs from the model's coordinates; infinite from the step at which a rollout diverged."""
         coordinates = self.model.coordinates
         if coordinates is None:
             return seen
@@ -105,13 +109,13 @@ def _padded(size: int, multiple: int) -> int:
 
 
 def _index(values) -> np.ndarray:
-    """Unsigned indices, which index faster."""
+    """Unsigned integers, because they index faster."""
     return np.ascontiguousarray(values, dtype=np.uint32)
 
 
 @compiled
 def _copy(x, out, rows):
-    """The first rows of out = those of x."""
+    """Copy the first rows of x into out."""
     for i in range(rows):
         for lane in range(x.shape[1]):
             out[i, lane] = x[i, lane]
@@ -119,7 +123,7 @@ def _copy(x, out, rows):
 
 @compiled
 def _multiply_out(products, variables, closure):
-    """The closure from its constant and its first `variables` entries."""
+    """Compute the products of the closure from its constant and its first `variables` entries."""
     for i in range(products.shape[1]):
         a, b, out = closure[products[0, i]], closure[1 + products[1, i]], closure[1 + variables + i]
         for lane in range(len(out)):
@@ -160,7 +164,7 @@ def _apply(form, closure, out):
 
 @compiled
 def _saturate(edge, z, closure):
-    """The first entries of the closure, s(z); see `models.saturation`."""
+    """Write s(z) into the first entries of the closure; see `models.saturation`."""
     for i in range(len(z)):
         x, out = z[i], closure[1 + i]
         for lane in range(len(x)):
@@ -170,7 +174,7 @@ def _saturate(edge, z, closure):
 
 @compiled
 def _keep_linear(linear, z, closure, k):
-    """k, of s(z), becomes that with what is linear in z as it is."""
+    """Correct k, which was computed from s(z): its linear terms take z itself."""
     for j in range(len(z)):
         x, within = z[j], closure[1 + j]
         for lane in range(len(x)):
@@ -182,7 +186,7 @@ def _keep_linear(linear, z, closure, k):
 
 @compiled
 def _stepped(x, k, start, total, scheme, stage, h):
-    """x after one evaluation k of the dynamics: the next stage, x + h k of an Euler step, or k of a map."""
+    """x after one evaluation k of the dynamics: the next Runge-Kutta stage, x + h k (Euler), or k itself (map)."""
     share, reach = 1.0 if stage % 3 == 0 else 2.0, h if stage == 2 else 0.5 * h
     for i in range(len(x)):
         z, f, z0, sum_ = x[i], k[i], start[i], total[i]
@@ -227,7 +231,7 @@ def _advance(x, inputs, tables, work):
 
 @compiled
 def _begin(states, x):
-    """x (n, lanes) = states (·, n), and zero in the lanes beyond them."""
+    """Copy states (·, n) into x (n, lanes), and zeros into the remaining lanes."""
     for i in range(len(x)):
         for lane in range(x.shape[1]):
             x[i, lane] = states[lane, i] if lane < len(states) else 0.0
@@ -235,7 +239,8 @@ def _begin(states, x):
 
 @compiled
 def _accept(x, z, bound, k, lengths, inside, diverged_at):
-    """z = x where it is inside the bound and was before; how many lanes go on, of step k."""
+    """Set z = x in the lanes that are inside the bound and were so before. Returns how many lanes go on after step k.
+    """
     running = 0
     for lane in range(len(inside)):
         if not inside[lane] or k >= lengths[lane]:
@@ -255,7 +260,7 @@ def _accept(x, z, bound, k, lengths, inside, diverged_at):
 
 @compiled
 def _decode(output, z, seen, y, inside, outputs):
-    """outputs (lanes, p) of z, infinite in the lanes that have diverged."""
+    """Write the outputs (lanes, p) of z, infinite in the lanes that have diverged."""
     _copy(z, seen[1:], len(z))
     _multiply_out(output[0], len(z), seen)
     _apply(output, seen, y)
@@ -266,7 +271,7 @@ def _decode(output, z, seen, y, inside, outputs):
 
 @compiled
 def _roll(first_states, inputs, lengths, bound, tables, states, outputs, diverged_at):
-    """All rollouts, by blocks of lanes; states and outputs are filled where they have rows."""
+    """Compute all rollouts, one block of lanes after another. states and outputs are filled unless they are empty."""
     dynamics, output, lifting, rates = tables[0], tables[1], tables[2], tables[6]
     (N, H, m), n, p = inputs.shape, first_states.shape[1], outputs.shape[2]
     lanes = min(LANES, max(-(-N // VECTOR), 1) * VECTOR)

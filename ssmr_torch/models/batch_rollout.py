@@ -1,4 +1,4 @@
-"""Rollouts of many starts at once: what evaluation, validation and the stability guard spend their time on."""
+"""Rollouts from many starts at once. Evaluation, validation and the stability guard spend most of their time here."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from ssmr_torch.models.base import Model, Rollout
 class BatchRollout:
     """Rollouts of a model in NumPy from many states z (N, n) under inputs (N, H, m), held one timestep each.
 
-    lengths (N,): steps after which each ends; None: all H. bound: of ‖z‖ beyond which one has diverged; None: that of
-    the model. This class goes through `Model.rollout`; a family that names something faster as `batched` overrides
-    `_run`. Raises ValueError for arrays of other shapes, before anything is computed.
+    lengths (N,): steps after which each rollout ends; None: H for all. bound: a rollout with ‖z‖ > bound has diverged;
+    None: the model's own bound. This class calls `Model.rollout`; a faster subclass, which a model names in `batched`,
+    overrides `_run`. Raises ValueError for arrays of other shapes, before anything is computed.
     """
 
     def __init__(self, model: Model):
@@ -27,12 +27,12 @@ class BatchRollout:
 
     def outputs(self, z: np.ndarray, inputs: np.ndarray, *, lengths: np.ndarray | None = None,
                 bound: float | None = None) -> np.ndarray:
-        """y_1 … y_H, (N, H, p), infinite from where a rollout diverged, without meaning from where it ended."""
+        """y_1 … y_H, (N, H, p): infinite from the step at which a rollout diverged, undefined after its end."""
         return self._checked(z, inputs, lengths, bound, False, True)[1]
 
     def diverged(self, z: np.ndarray, inputs: np.ndarray, *, lengths: np.ndarray | None = None,
                  bound: float | None = None) -> np.ndarray:
-        """Which rollouts diverged before they ended, (N,)."""
+        """Whether each rollout diverged before its end, (N,)."""
         ends = inputs.shape[-2] if lengths is None else lengths
         return self._checked(z, inputs, lengths, bound, False, False)[2] <= ends
 
@@ -40,18 +40,18 @@ class BatchRollout:
         n, m = self.model.state_dim, self.model.input_dim
         if z.ndim != 2 or inputs.ndim != 3 or z.shape != (len(inputs), n) or inputs.shape[2] != m:
             raise ValueError(f"states of shape {z.shape} and inputs of shape {inputs.shape}; expected (N, {n}) and "
-                             f"(N, H, {m}), of as many starts N")
+                             f"(N, H, {m}) with the same number of starts N")
         steps = inputs.shape[1]
         if lengths is not None and (lengths.shape != (len(z),) or not np.all((0 <= lengths) & (lengths <= steps))):
-            raise ValueError(f"lengths of shape {lengths.shape} from {np.min(lengths, initial=steps)} to "
-                             f"{np.max(lengths, initial=0)}; expected {len(z)} of them, from 0 to the {steps} "
-                             "steps of the inputs")
+            raise ValueError(f"lengths of shape {lengths.shape} between {np.min(lengths, initial=steps)} and "
+                             f"{np.max(lengths, initial=0)}; expected one for each of the {len(z)} starts, between 0 "
+                             f"and the {steps} steps of the inputs")
         lengths = np.full(len(z), steps) if lengths is None else lengths
         return self._run(z, inputs, lengths, self.model.divergence_bound if bound is None else bound, states, outputs)
 
     def _run(self, z, inputs, lengths, bound, states: bool, outputs: bool) -> tuple:
-        """States (N, H + 1, n) and outputs (N, H, p), either of which may be empty where it is not asked for, and
-        `diverged_at` (N,).
+        """States (N, H + 1, n), outputs (N, H, p) and `diverged_at` (N,). States or outputs may be empty if their
+        argument is false.
         """
         found = self.model.rollout(z, inputs, lengths=lengths, bound=bound)
         if not outputs:
@@ -63,6 +63,6 @@ class BatchRollout:
 
 
 def batch_of(model) -> BatchRollout:
-    """The fastest rollouts of a `Model`, or of what offers one as its `reduced`."""
+    """The fastest available rollouts of a `Model`, or of an object with a model as its `reduced`."""
     model = model.reduced.numpy()
     return found(model.batched)(model) if model.batched else BatchRollout(model)

@@ -7,20 +7,20 @@ from ssmr_torch.models.torch_model import PolynomialTorchModel, check_degrees, t
 
 
 class ControlAugmentedSSMR(PolynomialTorchModel):
-    """Dynamics on the spectral submanifold of the robot with its input as a further state, held over a step:
+    """Dynamics on the spectral submanifold of a robot whose state includes its input, which is held over a step:
 
         z = v(ŷ, û) = chart · [ŷ, û],   y = w(z) = parametrization · z^{1:n_w},
         z⁺ = z + h · dynamics · (z, u)^{1:n_r},   u⁺ = u,
 
-    with the window ŷ and the inputs û held between its samples, flattened oldest first, h = base_timestep, and the
-    monomials of z and u together of a degree up to n_u in u. The manifold then bends with the input, so that nothing is
-    left to calibrate [Wolff et al., Learning actuator-aware spectral submanifolds for precise control of continuum
-    robots, 2026]; a chart that sees the inputs takes their direct effect out of the window.
+    with the window ŷ and the inputs û held between its samples, both flattened oldest first, h = base_timestep, and the
+    monomials of z and u together, of degree up to n_u in u. The manifold then depends on the input, and no input matrix
+    has to be calibrated afterwards [Wolff et al., Learning actuator-aware spectral submanifolds for precise control of
+    continuum robots, 2026]. The chart uses the inputs to remove their direct effect from the window.
 
     chart (n, (n_d + 1) p + n_d m), parametrization (p, ·), dynamics_table (n, ·).
-    input_degree, state_degree: largest degrees n_u in u and in z (None: n_r); state_degree 1 makes the linear
-    counterpart, bilinear in state and input. saturated: beyond the largest training states, `state_scale`, the
-    nonlinear terms stay what they are there, see `saturation`; within them nothing changes.
+    input_degree, state_degree: largest degrees n_u in u and in z (None: n_r); state_degree 1 gives the linear
+    counterpart, bilinear in state and input. saturated: the nonlinear terms become constant beyond `state_scale`, the
+    largest training states, see `saturation`; within this range nothing changes.
     Raises ValueError when window and inputs hold fewer values than state_dim.
     """
 
@@ -49,7 +49,7 @@ class ControlAugmentedSSMR(PolynomialTorchModel):
         self.chart = table(self.state_dim, self.window_dim + held)
         self.parametrization = table(self.output_dim, len(self.structure.parametrization))
         self.dynamics_table = table(self.state_dim, len(self.structure.dynamics))
-        _ = self.reduced  # which refuses a timestep that is no whole multiple of the base
+        _ = self.reduced  # raises an error if timestep is not a whole multiple of base_timestep
 
 
 class ControlAugmentedSSSR(ControlAugmentedSSMR):

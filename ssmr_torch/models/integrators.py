@@ -1,6 +1,6 @@
-"""One step with the input held, of dz/dt = f(z, u) or of a repeated map, and its exact sensitivities.
+"""One time step with a held input, by the Runge-Kutta method or by a repeated map, and its exact derivatives.
 
-Written with arithmetic and matrix products only, so that the same lines serve NumPy arrays and Torch tensors.
+Only arithmetic and matrix products are used, so that the same lines work for NumPy arrays and Torch tensors.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ def rk4_step(rate: Callable, z, timestep: float, substeps: int = 1):
 
 
 def rk4_linearization(rate: Callable, jacobians: Callable, z, identity, timestep: float, substeps: int = 1):
-    """The Runge-Kutta step and its derivatives (∂z⁺/∂z, ∂z⁺/∂u), differentiated exactly stage by stage.
+    """The Runge-Kutta step and its exact derivatives (∂z⁺/∂z, ∂z⁺/∂u); each stage is differentiated.
 
     jacobians(z) → (∂f/∂z (..., n, n), ∂f/∂u (..., n, m)) at the held input; identity: (n, n).
     """

@@ -1,7 +1,7 @@
 """The extended Kalman filter in discrete time [Kalman 1960; Gelb 1974, section 6.1].
 
-Written with arithmetic and matrix products only, so that the same lines serve arrays of either kind, batched over
-leading dimensions, and can be exported.
+Only arithmetic and matrix products are used. The same lines therefore work for NumPy and Torch, for batches in the
+leading dimensions, and in exported programs.
 """
 
 from typing import NamedTuple
@@ -10,8 +10,9 @@ from ssmr_torch.models.arrays import Array, namespace
 
 
 class Noise(NamedTuple):
-    """What a filter assumes: N(mean (n,), covariance (n, n)) for the state before anything is measured, and the
-    covariances of what each step, process (n, n), and each measurement, (p, p) m², add.
+    """The noise that a filter assumes. The state has the distribution N(mean (n,), covariance (n, n)) before the first
+    measurement. Each step adds noise of covariance process (n, n), each measurement noise of covariance measurement
+    (p, p), m².
     """
 
     mean: Array
@@ -23,14 +24,14 @@ class Noise(NamedTuple):
 def predict(model, z: Array, covariance: Array, u: Array, process: Array) -> tuple[Array, Array]:
     """State z (..., n) and its covariance one base_timestep later with u held: z⁺ = f(z, u), P⁺ = A P Aᵀ + Q.
 
-    model: with `advance_linearization`, such as a `PiecewiseLinearModel`.
+    model: any model that has `advance_linearization`, such as a `PiecewiseLinearModel`.
     """
     following, A, _ = model.advance_linearization(z, u)
     return following, A @ covariance @ A.swapaxes(-1, -2) + process
 
 
 def correct(model, z: Array, covariance: Array, y: Array, measurement: Array) -> tuple[Array, Array]:
-    """State and covariance after y (..., p) was measured: z + K (y − w(z)), P − K C P, K = P Cᵀ (C P Cᵀ + R)⁻¹."""
+    """State and covariance after a measurement y (..., p): z + K (y − w(z)), P − K C P, K = P Cᵀ (C P Cᵀ + R)⁻¹."""
     C, _ = model.linearize_output(z)
     seen = C @ covariance
     gain = solve(seen @ C.swapaxes(-1, -2) + measurement, seen).swapaxes(-1, -2)
@@ -42,7 +43,7 @@ def correct(model, z: Array, covariance: Array, y: Array, measurement: Array) ->
 def filter_window(model, window: Array, inputs: Array, noise: Noise, repeats: int) -> Array:
     """State (..., n) at the newest sample of a window (..., n_d + 1, p), inputs (..., n_d, m) held between samples.
 
-    repeats: base timesteps between two samples. Raises ValueError where there is not one sample more than inputs.
+    repeats: base timesteps between two samples. Raises ValueError unless there is exactly one sample more than inputs.
     """
     if window.shape[-2] != inputs.shape[-2] + 1:
         raise ValueError(f"a window of {window.shape[-2]} samples and {inputs.shape[-2]} inputs between them; expected "
@@ -57,8 +58,9 @@ def filter_window(model, window: Array, inputs: Array, noise: Noise, repeats: in
 
 
 def solve(S: Array, X: Array) -> Array:
-    """S⁻¹ X of positive definite S (..., p, p) and X (..., p, n) by elimination, which needs no pivots: the programs
-    of ONNX have no solver.
+    """S⁻¹ X for a positive definite S (..., p, p) and X (..., p, n), by elimination without pivots.
+
+    It is written out because programs in ONNX have no linear solver.
     """
     xp, both = namespace(X), namespace(X).concatenate([S, X], -1)
     rows = [both[..., k, :] for k in range(S.shape[-1])]

@@ -1,4 +1,4 @@
-"""Koopman models: dynamic mode decomposition, its extension by monomials, and their bilinear variant."""
+"""Koopman models: DMD with control, EDMD with monomials, bilinear EDMD, and the model of the static pregain."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ class Koopman(TorchModel):
         ζ_k = [y_k, …, y_{k-n_d}, u_{k-1}, …, u_{k-n_u}],   z = ψ(ζ / scale),
         z⁺ = A z + B u + Σ_j u_j N_j z,   y = C z,
 
-    with ψ all monomials of degree up to `degree`, the constant among them if `constant`. degree 1 is DMD with control
-    and delays, degree 2 or more EDMD; bilinear adds the N_j [Bruder et al. 2021]. C reads the newest sample out of z,
-    so that decode(encode(window)) is that sample. relift: whether ζ alone is propagated and lifted anew at each step,
-    z⁺ = ψ(A z + …), which keeps z on the image of ψ [van Goor et al. 2023], instead of all of z. pregain: whether the
-    model carries a static pregain G, u = G [1, y] at rest, for the controller of that name.
+    ψ holds all monomials of degree up to `degree`, and the constant if `constant`. degree 1 is DMD with control and
+    delays; degree 2 or more is EDMD; bilinear adds the N_j [Bruder et al. 2021]. C reads the newest sample out of z, so
+    that decode(encode(window)) is that sample.
+    relift: re-lifting at every step, z⁺ = ψ(A z + …). The model then predicts ζ only and computes z from it, which
+    keeps z on the image of ψ [van Goor et al. 2023]. Without it, the model predicts all of z.
+    pregain: whether the model has a static pregain G, u = G [1, y] at rest, for the controller `static_pregain`.
 
-    state_dim follows from the lifting. timestep: s; None where the data give it.
+    state_dim follows from the lifting. timestep: s; None if the data give it.
     Raises ValueError for input_delays above `delays`, or a degree below 1.
     """
 
@@ -30,10 +31,10 @@ class Koopman(TorchModel):
                  constant: bool = True, bilinear: bool = False, relift: bool = False, pregain: bool = False,
                  timestep: float = 0.01, window_timestep: float | None = None, base_timestep: float | None = None):
         if int(degree) != degree or degree < 1:
-            raise ValueError(f"degree is {degree}; expected 1 (DMD) or more (EDMD), a whole number")
+            raise ValueError(f"degree is {degree}; expected a whole number: 1 (DMD), or more (EDMD)")
         if int(input_delays) != input_delays or not 0 <= input_delays <= delays:
-            raise ValueError(f"input_delays is {input_delays}; expected 0 to the {delays} delays, for a window holds "
-                             "the inputs between its samples")
+            raise ValueError(f"input_delays is {input_delays}; expected 0 to {delays}, the number of delays, because "
+                             "a window holds only the inputs between its samples")
         structure = koopman_structure(int(input_dim), int(output_dim), int(delays), input_delays=int(input_delays),
                                       degree=int(degree), constant=bool(constant), bilinear=bool(bilinear),
                                       relift=bool(relift))
@@ -50,7 +51,7 @@ class Koopman(TorchModel):
                             ("pregain", torch.zeros(m if pregain else 0, 1 + p)),
                             ("set_points", torch.eye(1 + p)[:None if pregain else 0])):
             self.register_buffer(name, value.double())
-        _ = self.reduced  # which refuses a timestep that is no whole multiple of the base
+        _ = self.reduced  # raises an error if timestep is not a whole multiple of base_timestep
 
     @property
     def arguments(self) -> dict:
@@ -78,7 +79,8 @@ class DMD(Koopman):
 
 
 class EDMD(Koopman):
-    """Extended DMD: monomials of ζ / scale up to a degree, z⁺ = A z + B u, perhaps lifted anew after each step."""
+    """Extended DMD: monomials of ζ / scale up to a degree, z⁺ = A z + B u; with re-lifting at every step if `relift`.
+    """
 
     def __init__(self, input_dim: int, output_dim: int, delays: int = 1, *, input_delays: int = 1, degree: int = 2,
                  constant: bool = True, relift: bool = False, timestep: float = 0.01,
@@ -89,8 +91,9 @@ class EDMD(Koopman):
 
 
 class BilinearEDMD(Koopman):
-    """Koopman model bilinear in lifted state and input, z⁺ = A z + B u + Σ_j u_j N_j z; degree 1 unless asked for more,
-    whose products with the input are all that most data determine.
+    """Koopman model that is bilinear in lifted state and input, z⁺ = A z + B u + Σ_j u_j N_j z.
+
+    The default degree is 1, because most data determine no more than the products of ζ with the input.
     """
 
     def __init__(self, input_dim: int, output_dim: int, delays: int = 1, *, input_delays: int = 1, degree: int = 1,
@@ -102,7 +105,7 @@ class BilinearEDMD(Koopman):
 
 
 class StaticPregainKoopman(Koopman):
-    """A linear model of the delayed outputs alone, and the static pregain u = G [1, y] of the set points."""
+    """Linear model of delayed outputs only, with the static pregain u = G [1, y], fitted to set points."""
 
     def __init__(self, input_dim: int, output_dim: int, delays: int = 1, *, input_delays: int = 0,
                  constant: bool = False, timestep: float = 0.01, window_timestep: float | None = None,

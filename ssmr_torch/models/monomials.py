@@ -1,4 +1,4 @@
-"""Monomials of a vector, degree-graded: x1, …, xn, x1², x1x2, …, x1xn, x2², …, or any set of them."""
+"""Monomials of a vector, ordered by degree: x1, …, xn, x1², x1x2, …, x1xn, x2², …, or any set of them."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ def count_monomials(variables: int, lowest: int, highest: int) -> int:
 
 
 class Derivative(NamedTuple):
-    """Structure of ∂(T φ)/∂x for the variables first ≤ j < last, of any table T (r, q).
+    """Structure of ∂(T φ)/∂x for the variables first ≤ j < last and any table T (r, q).
 
     It is polynomial: row i of ∂(T φ)_i / ∂x_j = Σ_c T[i, source[j, c]] · multiplicity[j, c] · (closure at needed[c]).
-    needed (K,): positions in the closure; source, multiplicity (last − first, K): the monomial behind each entry, and
-    the exponent that comes down, 0 where there is none.
+    needed (K,): positions in the closure. source, multiplicity (last − first, K): the monomial whose derivative is that
+    entry, and the factor from its exponent; a factor of 0 means that there is no such monomial.
     """
 
     needed: np.ndarray
@@ -32,13 +32,14 @@ class Derivative(NamedTuple):
 
 
 class Monomials:
-    """φ(x), one entry Π_j x[f_j] for each row of `factors`: structure, no numbers.
+    """φ(x), one entry Π_j x[f_j] for each row of `factors`. It holds structure only, no coefficients.
 
-    variables: length of x. factors: variables of each monomial, repeated as often as its exponent says; order within a
-    row does not matter, () is the constant. Raises ValueError for a variable that x does not have, or a monomial twice.
+    variables: length of x. factors: the variables of each monomial; x_j² is (j, j), and () is the constant. The order
+    within a row does not matter. Raises ValueError for a variable that x does not have, or a monomial given twice.
 
-    To multiply them out, and for derivatives, all divisors come along: the `closure`, graded, the constant and all
-    variables first; each of its products is one of a degree less times a variable.
+    The `closure` is the set of the monomials and all their divisors, ordered by degree, with the constant and all
+    variables first. Each of its products is a monomial of one degree less times one variable. Values and derivatives
+    are computed from it.
     exponents: (q, variables) integers. positions: (q,) of the monomials in the closure.
     levels: per degree d ≥ 2, the position of each product's parent among those of degree d − 1, and its variable.
     """
@@ -48,7 +49,7 @@ class Monomials:
         self.factors = tuple(tuple(sorted(int(factor) for factor in row)) for row in factors)
         outside = [row for row in self.factors if row and not 0 <= row[0] <= row[-1] < self.variables]
         if variables < 1 or outside:
-            raise ValueError(f"monomials of {variables} variables, of which one has the factors "
+            raise ValueError(f"monomials of {variables} variables; a monomial outside them has the factors "
                              f"{outside[:1] or 'none'}; expected at least 1 variable and factors from 0 to "
                              f"{self.variables - 1}")
         if len(set(self.factors)) < len(self.factors):
@@ -82,7 +83,7 @@ class Monomials:
         return len(self.factors)
 
     def position(self, factors: tuple[int, ...]) -> int:
-        """Where a monomial stands in the closure."""
+        """Position of a monomial in the closure."""
         return self._position[factors]
 
     @cached_property
@@ -96,8 +97,8 @@ class Monomials:
     def multiplied_out(self, x: Array) -> Array:
         """The closure of x (..., variables): (..., size), [1, x, products]."""
         if x.shape[-1] != self.variables:
-            raise ValueError(f"{x.shape[-1]} values for monomials of {self.variables} variables; check the sizes of "
-                             "what the model is given")
+            raise ValueError(f"{x.shape[-1]} values for monomials of {self.variables} variables; expected "
+                             f"{self.variables}: check the sizes of the arrays that the model takes")
         xp = namespace(x)
         parts = [xp.ones_like(x[..., :1]), x]
         for parent, variable in self.levels:
@@ -105,7 +106,8 @@ class Monomials:
         return xp.concatenate(parts, -1)
 
     def rows(self, x: Array) -> Array:
-        """The closure of points x (variables, M), one row a monomial, (size, M): rows multiply faster than columns."""
+        """The closure at points x (variables, M), one row per monomial, (size, M). Rows multiply faster than columns.
+        """
         xp = namespace(x)
         parts = [xp.ones_like(x[:1]), x]
         for parent, variable in self.levels:
@@ -113,7 +115,7 @@ class Monomials:
         return xp.concatenate(parts, 0)
 
     def chosen_rows(self, closure: Array) -> Array:
-        """φ out of `rows`, (size, M) → (q, M)."""
+        """φ, picked from the result of `rows`: (size, M) → (q, M)."""
         return closure[self._chosen if isinstance(self._chosen, slice) else on_device(closure, self._chosen)]
 
     def __call__(self, x: Array) -> Array:
@@ -121,7 +123,7 @@ class Monomials:
         return self.chosen(self.multiplied_out(x))
 
     def chosen(self, closure: Array) -> Array:
-        """φ out of the closure, (..., size) → (..., q)."""
+        """φ, picked from the closure: (..., size) → (..., q)."""
         return closure[..., self._chosen if isinstance(self._chosen, slice) else self._on(closure, self._chosen)]
 
     def derivative(self, first: int, last: int) -> Derivative:
@@ -155,7 +157,7 @@ class Monomials:
 
     @cached_property
     def _below(self) -> np.ndarray:
-        """(q, variables) places in the closure of what ∂/∂x_j leaves of each monomial, 0 where it leaves nothing."""
+        """(q, variables): position in the closure of each monomial's derivative by x_j, 0 if the derivative is zero."""
         places = np.zeros(self.exponents.shape, dtype=np.int64)
         for row, variable in np.argwhere(self.exponents):
             rest = list(self.factors[row])
@@ -170,7 +172,7 @@ class Monomials:
 class Form:
     """f(x) = table · φ(x), table (r, q) of NumPy or Torch, and its exact Jacobian.
 
-    What is derived from the table is kept, so a form must not outlive a change of it.
+    A form caches values that it derives from the table. After a change of the table, make a new form.
     """
 
     def __init__(self, monomials: Monomials, table: Array):
@@ -182,7 +184,7 @@ class Form:
         return self.monomials(x) @ self.table.T
 
     def slopes(self, first: int, last: int) -> tuple[np.ndarray, Array]:
-        """Positions in the closure (K,), and the table (r (last − first), K) over them, of ∂f/∂x, row by row."""
+        """∂f/∂x, row by row, as positions in the closure (K,) and the table (r (last − first), K) over them."""
         if (first, last) not in self._slopes:
             needed, source, multiplicity = self.monomials.derivative(first, last)
             slopes = self.table[:, on_device(self.table, source)] * like(self.table, multiplicity)
@@ -190,27 +192,27 @@ class Form:
         return self._slopes[first, last]
 
     def jacobian(self, closure: Array, first: int, last: int) -> Array:
-        """∂f/∂x_j for first ≤ j < last, (..., r, last − first), where the closure (..., size) was multiplied out."""
+        """∂f/∂x_j for first ≤ j < last, (..., r, last − first), from the closure (..., size)."""
         needed, slopes = self.slopes(first, last)
         flat = closure[..., on_device(closure, needed)] @ slopes.T
         return flat.reshape(*flat.shape[:-1], len(self.table), last - first)
 
 
 def without(factors: tuple[int, ...], factor: int) -> tuple[int, ...]:
-    """The factors of a monomial that is divided by one of them."""
+    """The factors of a monomial after it is divided by one of them."""
     first = factors.index(factor)
     return factors[:first] + factors[first + 1:]
 
 
 def on_device(array: Array, index: np.ndarray) -> Array:
-    """An index array for this array's library and device; on a device it is copied there once."""
+    """An index array for the library and device of `array`; it is copied to a device only once."""
     if isinstance(array, np.ndarray):
         return index
     import torch
 
     if array.device.type == "cpu":
         return torch.from_numpy(index)
-    copied = _copied.__wrapped__ if torch.compiler.is_compiling() else _copied  # a trace's own tensors serve it alone
+    copied = _copied.__wrapped__ if torch.compiler.is_compiling() else _copied  # a trace must not reuse tensors
     return copied(index.tobytes(), index.shape, array.device)
 
 
@@ -228,7 +230,7 @@ def graded(variables: int, lowest: int, highest: int) -> Monomials:
     Raises ValueError for fewer than one variable or a negative degree.
     """
     if variables < 1 or lowest < 0:
-        raise ValueError(f"monomials of {variables} variables from degree {lowest}; "
+        raise ValueError(f"monomials of {variables} variables with lowest degree {lowest}; "
                          "expected at least 1 variable and a lowest degree of at least 0")
     return Monomials(variables, [factors for degree in range(lowest, highest + 1)
                                  for factors in combinations_with_replacement(range(variables), degree)])

@@ -1,7 +1,7 @@
-"""The named polynomial models as structures, and with their tables as models, without Torch.
+"""Structures of the named polynomial models (SSMR, control-augmented SSMR, Koopman), and models from their tables.
 
-The Torch modules of the same names declare their parameters beside these; artifacts of older versions and models that
-others published come in through them.
+It needs no Torch. The Torch modules of the same names use these structures. Artifacts of older versions and published
+models are read through them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def control_augmented_structure(state_dim: int, input_dim: int, window_dim: int,
                                 state_degree: int | None, saturated: bool) -> Structure:
     """z = chart · [ŷ, û],   y = parametrization · z^{1:n_w},   z⁺ = z + h · dynamics · (z, u)^{1:n_r},
 
-    the monomials with degree ≤ input_degree in u and ≤ state_degree in z; held_dim: values in û.
+    with the monomials of degree ≤ input_degree in u and ≤ state_degree in z. held_dim: number of values in û.
     """
     n, seen = state_dim, window_dim + held_dim
     joint = [factors for factors in graded(n + input_dim, 1, dynamics_degree).factors
@@ -45,7 +45,8 @@ def control_augmented_structure(state_dim: int, input_dim: int, window_dim: int,
 @lru_cache(maxsize=256)
 def koopman_structure(input_dim: int, output_dim: int, delays: int, *, input_delays: int, degree: int, constant: bool,
                       bilinear: bool, relift: bool) -> Structure:
-    """z = ψ(ζ / scale), ζ = [y_k, …, y_{k−n_d}, u_{k−1}, …, u_{k−n_u}],   f = A z + B u + Σ_j u_j N_j z,   y of z."""
+    """z = ψ(ζ / scale), ζ = [y_k, …, y_{k−n_d}, u_{k−1}, …, u_{k−n_u}],   f = A z + B u + Σ_j u_j N_j z;   z holds y.
+    """
     p, m, lowest = output_dim, input_dim, 0 if constant else 1
     window = (delays + 1) * p
     order = [k * p + i for k in range(delays, -1, -1) for i in range(p)]
@@ -98,8 +99,8 @@ def koopman(*, scale: Array, A: Array, B: Array, N: Array, pregain: Array, set_p
             delays: int, timestep: float, window_timestep: float, base_timestep: float) -> PolynomialModel:
     """z = ψ(ζ / scale), z⁺ = A z + B u + Σ_j u_j N_j z, y = scale · (the entries of z that hold y_k).
 
-    scale ((n_d + 1) p + n_u m,), A (N, N), B (N, m), N (m, N, N) of the bilinear variant, else (0, N, N); with relift
-    the rows of A, B, N are those of ζ / scale alone. pregain, set_points: see `PregainModel`, or (0, 1 + p).
+    scale ((n_d + 1) p + n_u m,), A (N, N), B (N, m), N (m, N, N) of a bilinear model, otherwise (0, N, N); with relift,
+    A, B and N have only the rows of ζ / scale. pregain, set_points: see `PregainModel`; (0, 1 + p) without a pregain.
     """
     xp, p = namespace(A), output_dim
     structure = koopman_structure(input_dim, p, delays, input_delays=input_delays, degree=degree,

@@ -1,4 +1,4 @@
-"""Control-affine neural flows: networks beside a linear and bilinear part, as a reduced model."""
+"""Neural ODE as a reduced model without Torch: a network plus a linear and a bilinear part, affine in the input."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class NeuralModel(Model):
         return self._rate(z, _with_one(u))
 
     def _rate(self, z: Array, weights: Array) -> Array:
-        """dz/dt with weights [1, u], (..., 1 + m, 1), which stay while u is held."""
+        """dz/dt for weights [1, u], (..., 1 + m, 1), which are constant while u is held."""
         return (self._affine(z) @ weights)[..., 0]
 
     def _jacobians(self, z: Array, held: Array) -> tuple[Array, Array]:

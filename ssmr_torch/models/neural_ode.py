@@ -1,4 +1,4 @@
-"""Neural ordinary differential equation, affine in the input."""
+"""Neural ordinary differential equation, affine in the input, as a Torch module for training."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from ssmr_torch.models.torch_model import TorchModel, check_degrees
 
 
 class NeuralODE(TorchModel):
-    """dz/dt = f(z) + G(z) u with multilayer perceptrons beside a linear and bilinear part [Chen et al. 2018]:
+    """dz/dt = f(z) + G(z) u as a multilayer perceptron plus a linear and a bilinear part [Chen et al. 2018]:
 
         z = chart · ŷ,   y = parametrization · z,
         [f, G] = [linear z, control · [1, z]] + diag(state_scale) · network(z / state_scale)   (per s),
 
-    `depth` hidden layers of `width` tanh units, the last layer zero at first, so that training starts from whatever
-    linear model the other tables hold; see `NeuralModel`. The scale makes the network's inputs and outputs of order
-    one. chart and parametrization are linear: of the windows' leading directions, or learned with the rest. Steps are
-    of order four with a fixed size: the input jumps at each, where an adaptive method starts anew (dopri5 of
-    torchdiffeq takes twice the evaluations for the same error, 4e-4 mm in 1 s on the trunk).
+    The network has `depth` hidden layers of `width` tanh units. Its last layer is zero at first, so that training
+    starts from the linear model in the other tables; see `NeuralModel`. The scale makes the network's inputs and
+    outputs of order one. chart and parametrization are linear: the leading principal directions of the windows, or
+    learned with the rest. Steps are Runge-Kutta steps of order four and of fixed size. The input jumps at every step,
+    so that an adaptive method would have to restart there (dopri5 of torchdiffeq takes twice the evaluations for the
+    same error, 4e-4 mm in 1 s on the trunk).
     Raises ValueError for fewer window values than state_dim, or a width or depth below 1.
     """
 
@@ -47,8 +48,11 @@ class NeuralODE(TorchModel):
 
     @torch.no_grad()
     def scales(self) -> dict[str, Tensor]:
-        """A step of relative size ε in all coefficients of a row moves a coordinate or an output by ε of its largest
-        value; in one coefficient of a rate, by ε of the coordinate's largest value per s, as in the network beside it.
+        """Step sizes of the coefficients, see `TorchModel.scales`.
+
+        A step of relative size ε in all coefficients of a row changes a coordinate or an output by ε times its largest
+        value. In one coefficient of a rate it changes the rate by ε times the coordinate's largest value per s, which
+        is also its effect in the network.
         """
         state = self.state_scale.clamp_min(1e-300)
         output = self.parametrization.abs() @ state

@@ -1,4 +1,4 @@
-"""Coordinates ξ = χ(y) of the outputs in which a robot's motion is closer to linear; exactly invertible."""
+"""Output coordinates ξ = χ(y), in which a robot's motion is closer to linear; every χ is exactly invertible."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import numpy as np
 from ssmr_torch.lazy import found
 from ssmr_torch.models.arrays import Array, like, namespace
 
-TERMS = 16  # of the power series; the first one left out is below rounding up to a = π
-TINY = 1e-37  # m², added to a lateral square: for a chord straight back along the axis, of no direction
-HALVINGS = 4  # of an angle up to π, of whose tangent then x² < 0.04
+TERMS = 16  # number of terms of each power series; up to a = π, the first omitted term is below rounding
+TINY = 1e-37  # m², added to a lateral square: a chord straight back along the axis has no lateral direction
+HALVINGS = 4  # how often an angle up to π is halved; the square of its tangent is then below 0.04
 
-# sin(a)/a, its derivative by a², and cos(a), as power series in a² / SPREAD, and atan(x)/x in x² / SPREAD: smooth, and
-# without a case for a = 0. The power of two changes no digit, and leaves no coefficient so small that an optimizer of
-# ONNX graphs takes it for zero.
+# sin(a)/a, its derivative by a², and cos(a), as power series in a² / SPREAD, and atan(x)/x in x² / SPREAD. They are
+# smooth and need no special case at a = 0. SPREAD is a power of two, so it changes no digit. It keeps the coefficients
+# so large that an optimizer of ONNX graphs does not replace them by zero.
 SPREAD = 64.0
 SINC = tuple((-SPREAD) ** k / factorial(2 * k + 1) for k in range(TERMS))
 SINC_SLOPE = tuple(k * SINC[k] / SPREAD for k in range(1, TERMS))
@@ -28,12 +28,12 @@ ARCTANGENT = tuple((-SPREAD) ** k / (2 * k + 1) for k in range(12))
 
 @dataclass(frozen=True)
 class OutputCoordinates(ABC):
-    """ξ = χ(y), displacements from rest (..., p) in m to coordinates (..., p') in m, χ(0) = 0.
+    """ξ = χ(y) maps displacements from rest (..., p), m, to coordinates (..., p'), m, with χ(0) = 0.
 
-    A subclass is a frozen dataclass of plain values (numbers, words, tuples of them), which an artifact holds, and
-    writes `forward` and `inverse` with what NumPy and Torch call alike. It is found again by its module and name.
+    A subclass is a frozen dataclass of plain values (numbers, strings, tuples of them), which an artifact stores. Its
+    `forward` and `inverse` use only functions that NumPy and Torch share. It is loaded again by its module and name.
 
-    latent: p', the number of coordinates, p unless a subclass has more. linear: whether y is linear in ξ.
+    latent: p', the number of coordinates; p unless a subclass has more. linear: whether y is linear in ξ.
     """
 
     linear: ClassVar[bool] = False
@@ -47,7 +47,7 @@ class OutputCoordinates(ABC):
         """y = χ⁻¹(ξ), (..., p') → (..., p)."""
 
     def inverse_jacobian(self, xi: Array) -> Array:
-        """∂y/∂ξ, (..., p, p'); by central differences unless a subclass has it exactly."""
+        """∂y/∂ξ, (..., p, p'); by central differences unless a subclass computes it exactly."""
         xp, columns = namespace(xi), []
         step = 1e-6
         for j in range(xi.shape[-1]):
@@ -56,32 +56,32 @@ class OutputCoordinates(ABC):
         return xp.stack(columns, -1)
 
     def latent(self, output_dim: int) -> int:
-        """p', for p outputs. Raises ValueError where the coordinates are not of so many outputs."""
+        """p' for p outputs. Raises ValueError if these coordinates are for another number of outputs."""
         return output_dim
 
     def markers(self) -> np.ndarray | None:
-        """What compiled code needs, see `Mixture.markers`; None where it cannot have these coordinates."""
+        """The table that compiled code needs, see `Mixture.markers`; None if it does not support these coordinates."""
         return None
 
     @property
     def words(self) -> str:
-        """What a card says of them."""
+        """Their description on a model card."""
         return f"{type(self).__name__} of {type(self).__module__}"
 
     def plain(self) -> dict:
-        """As JSON has it; `coordinates_from_plain` is its inverse. Raises ValueError for a class within a function,
-        which nobody finds again.
+        """Plain values for JSON; `coordinates_from_plain` is the inverse. Raises ValueError for a class that is defined
+        inside a function, because it cannot be loaded by its name.
         """
         family = type(self)
         if "<locals>" in family.__qualname__:
-            raise ValueError(f"the output coordinates {family.__qualname__} are a class within a function, which is "
-                             "not found again by its name; write the class at the top of a module")
+            raise ValueError(f"the class of output coordinates {family.__qualname__} is defined inside a function, so "
+                             "it cannot be loaded again by its name; define it at the top level of a module")
         return {"class": f"{family.__module__}:{family.__qualname__}",
                 **{field.name: getattr(self, field.name) for field in fields(self)}}
 
     @classmethod
     def from_plain(cls, values: dict) -> OutputCoordinates:
-        """These coordinates from their fields."""
+        """The coordinates with these fields."""
         return cls(**{name: _tuples(value) for name, value in values.items()})
 
 
@@ -115,16 +115,16 @@ class Identity(OutputCoordinates):
 
 @dataclass(frozen=True)
 class ConstantCurvature(OutputCoordinates):
-    """Bending and length of a constant-curvature arc from a base to each marker.
+    """Bending angle and length of a constant-curvature arc from a base to each marker.
 
     With c the vector from the base to the marker at rest, e = c/‖c‖, r₀ = ‖c‖, P = c + y, a the angle between P and e,
     and n the lateral unit direction of P:
 
         ξ = r₀ a n + (‖P‖ a / sin a − r₀) e,
 
-    so that the lateral part is the bending angle, in the length of r₀, and the axial part the change of arc length.
-    bases: c of each marker, 2 or 3 numbers in m. For markers of one plane or of space, all alike. An arc bends by less
-    than π. Raises ValueError for a base of no direction, or of another number of coordinates.
+    so that the lateral part is the bending angle times r₀, and the axial part is the change of arc length.
+    bases: c of each marker, 2 or 3 numbers in m; markers may move in a plane or in space. An arc must bend by less than
+    π. Raises ValueError for a base of length zero, or with another number of coordinates.
     [Webster and Jones, Design and kinematic modeling of constant curvature continuum robots, 2010]
     """
 
@@ -139,7 +139,7 @@ class ConstantCurvature(OutputCoordinates):
     @property
     def words(self) -> str:
         lengths = ", ".join(f"{1e3 * np.linalg.norm(base):.4g}" for base in self.bases)
-        return f"angle and length of constant-curvature arcs, of {lengths} mm at rest"
+        return f"bending angle and length of constant-curvature arcs, {lengths} mm long at rest"
 
     def latent(self, output_dim: int) -> int:
         return _agreeing(sum(map(len, self.bases)), output_dim)
@@ -151,8 +151,8 @@ class ConstantCurvature(OutputCoordinates):
             axial = (P * e).sum(-1, keepdims=True)
             lateral = P - axial * e
             squares = (lateral * lateral).sum(-1, keepdims=True) + TINY
-            # of the half angle the tangent is ρ / (axial + ‖P‖), and so on: smooth in ρ², without a case of its own for
-            # a chord along the axis or at right angles to it
+            # the tangent of the half angle is ρ / (axial + ‖P‖), and so on for each halving. It is smooth in ρ² and
+            # needs no special case for a chord along the axis or at right angles to it
             adjacent = axial
             for _ in range(HALVINGS):
                 adjacent = adjacent + xp.sqrt(adjacent * adjacent + squares)
@@ -205,8 +205,8 @@ class ConstantCurvature(OutputCoordinates):
 class Mixture(OutputCoordinates):
     """Several coordinates of the same outputs side by side, ξ = [χ_1(y), χ_2(y), …], and y = Σ_i w_i χ_i⁻¹(ξ_i).
 
-    parts: the coordinates; weights: w_i, positive, of sum one. What averages models of different coordinates; χ⁻¹ is
-    the inverse of χ where all parts say the same. Raises ValueError for weights that are no such, or not one per part.
+    It serves to average models with different coordinates. χ⁻¹ is the inverse of χ if all parts give the same y.
+    parts: the coordinates. weights: w_i, positive, with sum 1. Raises ValueError for other weights.
     """
 
     parts: tuple[OutputCoordinates, ...]
@@ -241,7 +241,7 @@ class Mixture(OutputCoordinates):
                                           for part, weight, piece in self._pieces(xi)], -1)
 
     def markers(self) -> np.ndarray | None:
-        """Rows (first coordinate, first output, how many, weight, r₀, e), r₀ = 0 of coordinates that are outputs."""
+        """Rows (first coordinate, first output, how many, weight, r₀, e); r₀ = 0 if the coordinates are the outputs."""
         rows, first = [], 0
         for part, weight in zip(self.parts, self.weights):
             each = part.markers()
@@ -270,17 +270,19 @@ class Mixture(OutputCoordinates):
 
 
 def coordinates_from_plain(plain: dict | None) -> OutputCoordinates | None:
-    """What `plain` gave; None of None. Raises ValueError for a class that is none, or that is not installed here."""
+    """The coordinates that `plain` described; None for None. Raises ValueError for a class that is not installed here,
+    or that is not a class of output coordinates.
+    """
     if plain is None:
         return None
     values = dict(plain)
     try:
         family = found(values.pop("class"))
     except (ImportError, AttributeError) as error:
-        raise ValueError(f"the class of its output coordinates, {plain['class']}, is not found here ({error}); install "
-                         "the package that has it, or put its module on the path") from error
+        raise ValueError(f"the class of output coordinates {plain['class']} is not found here ({error}); install the "
+                         "package that has it, or put its module on the Python path") from error
     if not (isinstance(family, type) and issubclass(family, OutputCoordinates)):
-        raise ValueError(f"{plain['class']} is no class of output coordinates; expected a subclass of "
+        raise ValueError(f"{plain['class']} is not a class of output coordinates; expected a subclass of "
                          f"{OutputCoordinates.__module__}.{OutputCoordinates.__name__}")
     return family.from_plain(values)
 
@@ -312,7 +314,8 @@ def _arc_jacobian(d: Array, e: Array, r0: float) -> Array:
 
 def _agreeing(size: int, output_dim: int) -> int:
     if size != output_dim:
-        raise ValueError(f"output coordinates of {size} outputs for a model of {output_dim}; give those of all outputs")
+        raise ValueError(f"output coordinates for {size} outputs, but the model has {output_dim} outputs; expected one "
+                         "set of coordinates for all of them")
     return size
 
 

@@ -1,4 +1,4 @@
-"""Trajectory piecewise linear maps: linearizations of a robot's own equations, switched or blended by distance."""
+"""Trajectory piecewise linear (TPWL) model without Torch: linearizations, switched or blended by distance."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ssmr_torch.models.integrators import map_linearization, repeated_map
 from ssmr_torch.models.kalman import Noise, filter_window
 from ssmr_torch.periods import whole_multiple
 
-NEGLIGIBLE = 1e-17  # of the greatest weight: a hundred such points change less than rounding does
+NEGLIGIBLE = 1e-17  # relative to the greatest weight: a hundred points below it change less than rounding does
 BLOCK = 16
 
 
@@ -22,13 +22,14 @@ BLOCK = 16
 class PiecewiseLinearModel(Model):
     """z = [q̃, ṽ];   z⁺ = Σ_i w_i(q̃) (A_i z + B_i u + c_i);   y = C z + d;   chart: an extended Kalman filter.
 
-    width 0 takes the nearest point; another, m, blends them,
+    width: m. Width 0 takes the nearest point; a positive width blends the points with the weights
 
         w_i = exp(−‖q̃ − q̃_i‖² / width²) / Σ_j exp(−‖q̃ − q̃_j‖² / width²).
 
     points (N, n/2): q̃_i, m.   A (N, n, n), B (N, n, m), c (N, n).   C (p, n), d (p,).
-    mean (n,), covariance (n, n), process (n, n), measurement (p, p): of the filter, see `Noise`.
-    base_timestep: s, of one map. Raises ValueError where timestep or window_timestep is no whole multiple of it.
+    mean (n,), covariance (n, n), process (n, n), measurement (p, p): the noise that the filter assumes, see `Noise`.
+    base_timestep: time in s that one map covers. Raises ValueError if timestep or window_timestep is not a whole
+    multiple of it.
     """
 
     c_source: ClassVar[str] = "ssmr_torch.deployment.c.tpwl:tpwl"
@@ -56,13 +57,13 @@ class PiecewiseLinearModel(Model):
 
     @property
     def repeats(self) -> int:
-        """Maps in one step."""
+        """Number of maps in one step."""
         return whole_multiple("the step", self.timestep, "the timestep that this discrete-time model was fitted at",
-                              self.base_timestep, "choose another period, or fit at one that divides it")
+                              self.base_timestep, "choose another period, or fit at a timestep that divides it")
 
     @property
     def window_steps(self) -> int:
-        """Maps from one sample of a window to the next."""
+        """Number of maps from one sample of a window to the next."""
         return whole_multiple("the model's window_timestep", self.window_timestep,
                               "the timestep that this discrete-time model was fitted at", self.base_timestep)
 
@@ -116,12 +117,12 @@ class PiecewiseLinearModel(Model):
         return (self.points ** 2).sum(-1) - 2.0 * (z[..., :self.points.shape[1]] @ self.points.T)
 
     def _at_nearest(self, z: Array, u: Array) -> tuple[Array, Array, Array]:
-        nearest = self._distances(z).argmin(-1)[..., None]  # an index of at least one dimension, as vmap needs
+        nearest = self._distances(z).argmin(-1)[..., None]  # vmap needs an index with at least one dimension
         A, B, c = self.A[nearest][..., 0, :, :], self.B[nearest][..., 0, :, :], self.c[nearest][..., 0, :]
         return (A @ z[..., None] + B @ u[..., None])[..., 0] + c, A, B
 
     def _blocks(self, z: Array, u: Array) -> Iterator[tuple]:
-        """Weights (..., k), A_i z + B_i u + c_i (..., k, n), and q̃_i, A_i, B_i of some points at a time."""
+        """Weights (..., k), A_i z + B_i u + c_i (..., k, n), q̃_i, A_i and B_i, for k points at a time."""
         xp, distances = namespace(z), self._distances(z)
         weights = xp.exp((xp.amin(distances, -1)[..., None] - distances) / self.width ** 2)
         blocks = _counting(weights) if xp is np else [slice(None)]
@@ -132,12 +133,12 @@ class PiecewiseLinearModel(Model):
 
 
 def _counting(weights: np.ndarray) -> Iterator[np.ndarray]:
-    """`BLOCK` points at a time, so that a cache holds their matrices, without points of no weight."""
+    """Indices of the points with weight, `BLOCK` at a time, so that their matrices fit into the cache."""
     counting = np.flatnonzero((weights > NEGLIGIBLE).reshape(-1, weights.shape[-1]).any(0))
     for first in range(0, len(counting), BLOCK):
         yield counting[first:first + BLOCK]
 
 
 def _applied(matrices: Array, x: Array) -> Array:
-    """(k, n, m), (..., m) → (..., k, n)"""
+    """Each matrix times x: (k, n, m), (..., m) → (..., k, n)."""
     return (x @ matrices.reshape(-1, matrices.shape[-1]).T).reshape(*x.shape[:-1], *matrices.shape[:2])

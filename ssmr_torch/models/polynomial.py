@@ -24,12 +24,12 @@ class PolynomialModel(Model):
 
         dz/dt = f(z, u)   or   z⁺ = z + base_timestep f(z, u)   or   z⁺ = f(z, u),   f = dynamics · φ(z, u),
 
-    with the monomials ψ, φ_w, φ of the `Structure`. chart (n, ·), or (0, ·) where z is ψ itself; parametrization
-    (·, ·), p rows or all (n_d + 1) p of the window; dynamics (n, ·); window_scale: of ζ, or (0,) for none.
-    substeps: Runge-Kutta steps within a timestep. base_timestep: s, what a map or an Euler step covers; a timestep is
-    a whole multiple of it. coordinates: ξ = χ(y) that stand for y in the window and the parametrization,
-    y = χ⁻¹(w(z)); None: y itself. reach: nonlinear terms saturate from reach times state_scale on. float64, SI.
-    Raises ValueError for tables that do not fit the structure, or a timestep that is no whole multiple.
+    with the monomials ψ, φ_w, φ of the `Structure`. chart (n, ·), or (0, ·) if z is ψ itself; parametrization (·, ·)
+    with p rows, or with all (n_d + 1) p rows of the window; dynamics (n, ·); window_scale: scale of ζ, (0,) for none.
+    substeps: Runge-Kutta steps in a timestep. base_timestep: time in s of one map or Euler step; a timestep is a whole
+    multiple of it. coordinates: output coordinates ξ = χ(y), which replace y in window and parametrization,
+    y = χ⁻¹(w(z)); None: y itself. reach: nonlinear terms saturate beyond reach · state_scale. All float64, SI.
+    Raises ValueError for tables that do not fit the structure, or a timestep that is not a whole multiple.
     """
 
     c_source: ClassVar[str] = "ssmr_torch.deployment.c.polynomial:polynomial"
@@ -52,12 +52,12 @@ class PolynomialModel(Model):
                              {name: getattr(self, name).shape for name in ("chart", "parametrization", "dynamics")})
         rows, scaled, seen = len(self.parametrization), len(self.window_scale), len(self.structure.window_order)
         if rows not in (self.latent_dim, self.latent_window):
-            raise ValueError(f"the parametrization has {rows} rows; expected {self.latent_dim}, of the newest sample, "
-                             f"or {self.latent_window}, of the whole window")
+            raise ValueError(f"the parametrization has {rows} rows; expected {self.latent_dim} for the newest sample, "
+                             f"or {self.latent_window} for the whole window")
         if not 0 < self.reach < np.inf:
-            raise ValueError(f"reach is {self.reach}; expected a positive, finite number")
+            raise ValueError(f"reach is {self.reach}; expected a positive and finite number")
         if scaled not in (0, seen):
-            raise ValueError(f"window_scale has {scaled} entries; expected {seen}, one for each that the chart sees, "
+            raise ValueError(f"window_scale has {scaled} entries; expected {seen}, one for each input of the chart, "
                              "or none")
         if int(self.substeps) != self.substeps or self.substeps < 1:
             raise ValueError(f"substeps is {self.substeps}; expected a whole number, 1 or more")
@@ -76,7 +76,7 @@ class PolynomialModel(Model):
 
     @cached_property
     def latent_dim(self) -> int:
-        """Entries of one sample in the model's coordinates: p, or p' of its output coordinates."""
+        """Number of values of one sample in the model's coordinates: p, or p' with output coordinates."""
         return self.output_dim if self.coordinates is None else self.coordinates.latent(self.output_dim)
 
     @property
@@ -90,11 +90,11 @@ class PolynomialModel(Model):
 
     @property
     def repeats(self) -> int:
-        """Applications of the map, or Euler steps, in one step."""
+        """Number of maps or Euler steps in one step."""
         if self.flow:
             return 1
         return whole_multiple("the step", self.timestep, "the timestep that this discrete-time model was fitted at",
-                              self.base_timestep, "choose another period, or fit at one that divides it")
+                              self.base_timestep, "choose another period, or fit at a timestep that divides it")
 
     @property
     def affine(self) -> bool:
@@ -122,7 +122,7 @@ class PolynomialModel(Model):
 
     @cached_property
     def constant_states(self) -> np.ndarray:
-        """(n,) which entries of the state are the constant 1."""
+        """Whether each entry of the state is the constant 1, (n,)."""
         constant = np.array([not factors for factors in self.structure.chart.factors])
         return constant if not len(self.chart) else np.zeros(self.state_dim, dtype=bool)
 
@@ -144,7 +144,7 @@ class PolynomialModel(Model):
 
     @cached_property
     def output_form(self) -> Form:
-        """w over z, newest sample alone, in the model's coordinates."""
+        """w over z, only the rows of the newest sample, in the model's coordinates."""
         return Form(self.structure.parametrization, self.parametrization[-self.latent_dim:])
 
     @cached_property
@@ -154,7 +154,7 @@ class PolynomialModel(Model):
 
     @cached_property
     def edge(self) -> Array:
-        """Of the range within which nothing saturates, (n,)."""
+        """Edge of the range without saturation, (n,)."""
         bounded = (self.state_scale > 0) & self.structure.saturated
         return namespace(self.state_scale).where(bounded, self.reach * self.state_scale, np.inf)
 
@@ -162,7 +162,7 @@ class PolynomialModel(Model):
     def linear_part(self) -> Array:
         """∂f/∂z at rest, (·, n): the columns of the dynamics that multiply z alone."""
         needed, slopes = self.dynamics_form.slopes(0, self.state_dim)
-        constant = slopes[:, np.flatnonzero(needed == 0)].sum(-1)  # of one column, or none where nothing is linear in z
+        constant = slopes[:, np.flatnonzero(needed == 0)].sum(-1)  # 0 or 1 columns: 0 if no term is linear in z
         return constant.reshape(len(self.dynamics), self.state_dim)
 
     def encode(self, window: Array, inputs: Array | None = None) -> Array:
@@ -174,19 +174,19 @@ class PolynomialModel(Model):
         return self.structure.chart(self.observables(window, inputs))
 
     def observables(self, window: Array, inputs: Array | None = None) -> Array:
-        """ζ / window_scale: (..., n_d + 1, p), (..., n_d, m) → (..., ·); inputs only if `takes_past_inputs`."""
+        """ζ / window_scale: (..., n_d + 1, p), (..., n_d, m) → (..., ·); needs inputs only if `takes_past_inputs`."""
         order, leading = self.structure.window_order, window.shape[:-2]
         seen = (window if self.coordinates is None else self.coordinates.forward(window)).reshape(*leading, -1)
         if self.takes_past_inputs:
             if inputs is None:
-                raise ValueError(f"this chart looks at the {self.delays} inputs held within a window; give them as "
-                                 f"well, (…, {self.delays}, {self.input_dim})")
+                raise ValueError(f"the chart of this model also needs the {self.delays} inputs held within the window; "
+                                 f"give them as inputs of shape (…, {self.delays}, {self.input_dim})")
             seen = namespace(seen).concatenate([seen, inputs.reshape(*leading, -1)], -1)
         expected = self.latent_window + (self.delays * self.input_dim if self.takes_past_inputs else 0)
         if seen.shape[-1] != expected:
-            raise ValueError(f"a window of {seen.shape[-1]} values, with the inputs that the chart sees; expected "
-                             f"{expected}, of {self.delays + 1} samples of {self.output_dim} outputs and, where it "
-                             f"sees them, {self.delays} of {self.input_dim} inputs")
+            raise ValueError(f"the window and its inputs hold {seen.shape[-1]} values; expected {expected}: "
+                             f"{self.delays + 1} samples of {self.output_dim} outputs and, if the chart uses inputs, "
+                             f"{self.delays} samples of {self.input_dim} inputs")
         if order != tuple(range(seen.shape[-1])):
             seen = seen[..., on_device(seen, np.array(order))]
         return seen / self.window_scale if len(self.window_scale) else seen
@@ -196,7 +196,7 @@ class PolynomialModel(Model):
         return xi if self.coordinates is None else self.coordinates.inverse(xi)
 
     def decode_window(self, z: Array) -> Array:
-        """The whole window w(z), (..., n) → (..., n_d + 1, p), of a model whose parametrization has all its rows."""
+        """The whole window w(z), (..., n) → (..., n_d + 1, p). The parametrization must have all rows of a window."""
         found = self.window_form(z).reshape(*z.shape[:-1], -1, self.latent_dim)
         return found if self.coordinates is None else self.coordinates.inverse(found)
 
@@ -215,7 +215,7 @@ class PolynomialModel(Model):
         return xp.concatenate([within, u], -1), slopes
 
     def dynamics_regressors(self, z: Array, u: Array) -> Array:
-        """φ(z, u) with s(z) in place of z beyond the linear terms, (..., q), such that f = dynamics · regressors."""
+        """φ(z, u), (..., q), with s(z) in place of z in the nonlinear terms, such that f = dynamics · regressors."""
         xp = namespace(z)
         if not self.structure.saturated:
             return self.structure.dynamics(xp.concatenate([z, u], -1))
@@ -223,7 +223,7 @@ class PolynomialModel(Model):
         return xp.concatenate([seen, z], -1)[..., on_device(seen, self._beyond_linear)]
 
     def dynamics_rows(self, z: Array, u: Array) -> tuple[Array, Array, Array]:
-        """f (·, M), `dynamics_regressors` (q, M) and ∂f/∂z (M, ·, n), at many points z (n, M), u (m, M) at once."""
+        """f (·, M), `dynamics_regressors` (q, M) and ∂f/∂z (M, ·, n) at M points z (n, M), u (m, M)."""
         xp, monomials = namespace(z), self.structure.dynamics
         joint, slopes = self.joint(z.T, u.T) if self.structure.saturated else (xp.concatenate([z, u], 0).T, None)
         closure = monomials.rows(joint.T)
@@ -236,7 +236,7 @@ class PolynomialModel(Model):
 
     @cached_property
     def _beyond_linear(self) -> np.ndarray:
-        """Positions in [φ, z] of the regressors: linear ones are entries of z itself."""
+        """Positions of the regressors in [φ, z]: the linear regressors are entries of z."""
         count = len(self.structure.dynamics)
         return np.array([count + row[0] if len(row) == 1 and row[0] < self.state_dim else k
                          for k, row in enumerate(self.structure.dynamics.factors)], dtype=np.int64)
@@ -266,7 +266,7 @@ class PolynomialModel(Model):
         return self._by_state(closure, slopes), self.dynamics_form.jacobian(closure, n, n + self.input_dim)
 
     def _multiplied_out(self, z: Array, u: Array) -> tuple[Array, Array | None]:
-        """The closure of (s(z), u), and the slopes of s; None where nothing saturates."""
+        """The closure of (s(z), u), and the slopes of s; None if nothing saturates."""
         joint, slopes = self.joint(z, u) if self.structure.saturated else (namespace(z).concatenate([z, u], -1), None)
         return self.structure.dynamics.multiplied_out(joint), slopes
 
@@ -274,7 +274,7 @@ class PolynomialModel(Model):
         return self._bent(self.dynamics_form.jacobian(closure, 0, self.state_dim), slopes)
 
     def _bent(self, by_state: Array, slopes: Array | None) -> Array:
-        """∂f/∂z of what ∂f/∂s is by_state of, where s has these slopes."""
+        """∂f/∂z, from ∂f/∂s = by_state and these slopes of s."""
         if slopes is None:
             return by_state
         slopes = slopes[..., None, :]
@@ -316,10 +316,10 @@ class PolynomialModel(Model):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PregainModel(PolynomialModel):
-    """A polynomial model that also knows set points, for the controller of that name.
+    """A polynomial model with a static pregain, for the controller `static_pregain`.
 
     pregain G (m, 1 + p): u = G [1, y] at rest. set_points (1 + p, 1 + p): triangular factor of the mean of
-    [1, y]ᵀ [1, y] over the set points behind it.
+    [1, y]ᵀ [1, y] over the set points from which G was fitted.
     """
 
     pregain: Array

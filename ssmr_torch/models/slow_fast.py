@@ -1,4 +1,4 @@
-"""Slow-fast models: a slow state on a manifold that moves with the input, and a fast fibre that only decays."""
+"""Slow-fast model: a slow state on a manifold that moves with the input, and a fast state that only decays."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ class SlowFast(PolynomialTorchModel):
         x = [z, s, f],   z = V [1, ξ window, past inputs],   s: past inputs, or the state of an actuator,
         z⁺ = L z + E Θ φ(z, s, u),   s⁺ = R s + B u,   f⁺ = Λ f,   y = χ⁻¹(Ψ ψ(z, s) + C f),
 
-    with output coordinates ξ = χ(y), perhaps the identity. φ holds monomials whose coefficients depend on the
-    configuration, and in which the velocity enters linearly; beyond `reach` times the training range they stay what
-    they are there, see `saturation`. A team of models is one of these, with the states of all its members.
+    with output coordinates ξ = χ(y), which may be the identity. φ holds monomials in which the velocity enters
+    linearly, times powers of the configuration. Beyond `reach` times the training range they saturate, see
+    `saturation`. A team of models is one such model with the states of all its members.
 
-    structure: a `Structure` as plain values, coordinates: `OutputCoordinates` as plain values; None until a fit chooses
-    them from the data, see `ssmr_torch.selection`. chart (n, ·), parametrization (p', ·), dynamics_table (n, ·),
-    window_scale (·,).
+    structure: a `Structure` as plain values. coordinates: `OutputCoordinates` as plain values. Both are None until a
+    fit chooses them from the data, see `ssmr_torch.selection`. chart (n, ·), parametrization (p', ·), dynamics_table
+    (n, ·), window_scale (·,).
     """
 
     given = (*TorchModel.given, "structure", "coordinates", "reach")
@@ -36,7 +36,7 @@ class SlowFast(PolynomialTorchModel):
         super().__init__(found.parametrization.variables, input_dim, output_dim, delays, timestep, window_timestep)
         self.base_timestep = self.timestep if base_timestep is None else float(base_timestep)
         self._resize(found, coordinates, reach)
-        _ = self.reduced  # which refuses a timestep that is no whole multiple of the base
+        _ = self.reduced  # raises an error if timestep is not a whole multiple of base_timestep
 
     def _resize(self, structure: Structure, coordinates: dict | None, reach: float) -> None:
         chi = coordinates_from_plain(coordinates)
@@ -51,7 +51,7 @@ class SlowFast(PolynomialTorchModel):
 
     @torch.no_grad()
     def take(self, model: PolynomialModel) -> None:
-        """Become this model of the same inputs, outputs and times: its structure, and its tables as parameters."""
+        """Take over the structure and the tables of a model that has the same inputs, outputs and timesteps."""
         self.delays = model.delays
         self._resize(model.structure, None if model.coordinates is None else model.coordinates.plain(), model.reach)
         for name, array in (("chart", model.chart), ("parametrization", model.parametrization),
@@ -76,7 +76,7 @@ class SlowFast(PolynomialTorchModel):
 
 
 def _unfitted(input_dim: int, output_dim: int, delays: int) -> Structure:
-    """Persistence, before a fit has chosen: z is the newest sample."""
+    """Structure before a fit: persistence, where z is the newest sample and stays."""
     p, m = output_dim, input_dim
     newest = tuple(range(delays * p, (delays + 1) * p))
     linear = Monomials(p, [(k,) for k in range(p)])

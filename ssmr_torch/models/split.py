@@ -1,7 +1,7 @@
-"""A form over (z, u) with its inputs folded in: while u is held, it is a polynomial in z alone.
+"""Split of a form over (z, u): for a held input u, the form is a polynomial in z alone.
 
-What runs a model step by step, the compiled kernel and the generated C, folds the held input in once per step and then
-multiplies out monomials of z only.
+The compiled kernel and the generated C insert the held input once per step. After that they compute only monomials of
+z.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from ssmr_torch.models.monomials import Form, Monomials, without
 
 
 class Split(NamedTuple):
-    """f(z, u) = (free + Σ_q u^q · its fields) · c(z),   c the closure of `states`, u^q monomials of `inputs`.
+    """f(z, u) = (free + Σ_q u^q · fields_q) · c(z), with the closure c of `states` and the monomials u^q of `inputs`.
 
     states: monomials of z; inputs: monomials of u alone, without the constant.
-    free (r, ·): columns of c, as many from its beginning as are needed, also by the fields. runs (R, 4): the place of
-    u^q in the closure of `inputs`, the first of neighbouring columns of c to which it adds, how many there are, and
-    where their coefficients begin in fields (r, ·).
-    free_z (r n, ·), runs_z (R', 4), fields_z (r n, ·): likewise of ∂f/∂z, row by row.
-    runs_u (T, 6): of ∂f/∂u_j, the place of ∂u^q/∂u_j in the closure of `inputs` and its factor, j, and the last three
-    entries of the run of `fields` that it multiplies. columns_u: how many columns of c ∂f/∂u has.
+    free (r, ·): coefficients without input, over the first columns of c. It has as many columns as free and fields
+    need. runs (R, 4): one row for each run of neighbouring columns of c to which u^q adds: position of u^q in the
+    closure of `inputs`, first column, number of columns, and where their coefficients begin in fields (r, ·).
+    free_z (r n, ·), runs_z (R', 4), fields_z (r n, ·): the same for ∂f/∂z, row by row.
+    runs_u (T, 6), for ∂f/∂u_j: position of ∂u^q/∂u_j in the closure of `inputs`, its factor, j, and the last three
+    entries of the run of `fields` that it multiplies. columns_u: number of columns of c in ∂f/∂u.
     """
 
     states: Monomials
@@ -38,9 +38,9 @@ class Split(NamedTuple):
 
 
 def split(form: Form, state_dim: int, also: Monomials | None = None) -> Split:
-    """The form over the first `state_dim` variables z and the others u, NumPy tables.
+    """Split a form with a NumPy table; its first `state_dim` variables are z, the others are u.
 
-    also: further monomials of z whose closure is to be part of `states`.
+    also: further monomials of z whose closure becomes part of `states`.
     """
     n, rows = state_dim, len(form.table)
     parts = [(tuple(f for f in row if f < n), tuple(f - n for f in row if f >= n)) for row in form.monomials.factors]
@@ -64,7 +64,7 @@ def split(form: Form, state_dim: int, also: Monomials | None = None) -> Split:
 
 
 def _runs(tables: dict[int, np.ndarray], rows: int) -> tuple[np.ndarray, np.ndarray]:
-    """Neighbouring columns that are not zero, (R, 4), and the columns themselves side by side, (rows, ·)."""
+    """Runs of neighbouring nonzero columns, (R, 4), and these columns side by side, (rows, ·)."""
     runs, fields = [], [np.zeros((rows, 0))]
     for place, table in tables.items():
         columns = np.flatnonzero(table.any(0))
@@ -75,7 +75,7 @@ def _runs(tables: dict[int, np.ndarray], rows: int) -> tuple[np.ndarray, np.ndar
 
 
 def reach(runs: np.ndarray) -> int:
-    """How many columns the runs need, at least one."""
+    """Number of columns that the runs need, at least one."""
     return int((runs[:, 1] + runs[:, 2]).max(initial=1))
 
 
@@ -91,15 +91,15 @@ def derivative_table(table: np.ndarray, monomials: Monomials) -> np.ndarray:
 
 
 def output_table(form: Form, states: Monomials) -> np.ndarray:
-    """A form over z alone as a table over a closure that holds its monomials."""
+    """The table of a form over z, extended to the whole closure of `states`, which must contain its monomials."""
     table = np.zeros((len(form.table), len(states.closure)))
     table[:, [states.position(row) for row in form.monomials.factors]] = form.table
     return trimmed(table)
 
 
 def products(monomials: Monomials) -> tuple[np.ndarray, np.ndarray]:
-    """parent and variable (·,) of all of the closure beyond the constant and the variables: entry 1 + n + i of the
-    closure is entry parent[i] times variable[i].
+    """parent (·,) and variable (·,) of the products in a closure: entry 1 + n + i is entry parent[i] times the variable
+    variable[i].
     """
     parents, variables, offset, size = [], [], 1, monomials.variables
     for parent, variable in monomials.levels:
@@ -111,6 +111,6 @@ def products(monomials: Monomials) -> tuple[np.ndarray, np.ndarray]:
 
 
 def trimmed(table: np.ndarray, runs: np.ndarray | None = None) -> np.ndarray:
-    """Without the columns of zeros at the end that no run needs either; one column stays."""
+    """The table without columns of zeros at its end, unless a run needs them. At least one column stays."""
     used = 1 + int(np.flatnonzero(table.any(0)).max(initial=0))
     return np.ascontiguousarray(table[:, :max(used, 1 if runs is None else reach(runs))])

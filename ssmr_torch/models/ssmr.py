@@ -1,4 +1,4 @@
-"""Spectral submanifold reduction: polynomial chart, parametrization, reduced dynamics and control field."""
+"""Spectral submanifold reduction (SSMR) and its linear counterpart (SSSR) as Torch modules."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from ssmr_torch.models.torch_model import PolynomialTorchModel, check_degrees, t
 
 
 class SSMR(PolynomialTorchModel):
-    """Dynamics on a spectral submanifold, seen through a delayed observable (paper, Eq. 3 and 7).
+    """Dynamics on a spectral submanifold, observed through a window of delayed outputs (paper, Eq. 3 and 7).
 
         z = v(ŷ) = chart · ŷ^{1:n_v},   ŷ = w(z) = parametrization · z^{1:n_w},
         dz/dt = drift · z^{1:n_r} + control · [u, z^{1:n_u} ⊗ u],
@@ -17,7 +17,7 @@ class SSMR(PolynomialTorchModel):
 
     chart (n, ·), parametrization ((n_d + 1) p, ·), drift_table (n, ·), control_table (n, m (1 + ·)), over monomials in
     graded order.
-    Raises ValueError when the window holds fewer values than state_dim: no chart of that dimension exists.
+    Raises ValueError if the window holds fewer values than state_dim, because no chart of that dimension exists.
     """
 
     tables = {"chart": ("chart",), "parametrization": ("parametrization",),
@@ -50,7 +50,8 @@ class SSMR(PolynomialTorchModel):
 
 
 class SSSR(SSMR):
-    """The linear counterpart of SSMR: all degrees one; the control field stays affine in z (bilinear dynamics).
+    """The linear counterpart of SSMR: all degrees are 1; the control field is affine in z, so the dynamics are
+    bilinear.
 
         z = Vᵀ ŷ,   ŷ = V z,   dz/dt = drift · z + control · [u, z ⊗ u].
     """

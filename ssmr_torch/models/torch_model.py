@@ -1,4 +1,4 @@
-"""Any reduced model as a Torch module: for Lightning, torch.func, torch.compile, torch.export, a user's own loss."""
+"""Reduced models as Torch modules: for Lightning, torch.func, torch.compile, torch.export or a user's own loss."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ssmr_torch.models.structure import Structure
 
 @torch.no_grad()
 def fill(pairs) -> None:
-    """Copy arrays into parameters or buffers, [(tensor, array), …]. Raises ValueError where a shape differs."""
+    """Copy arrays into parameters or buffers, pairs (tensor, array). Raises ValueError if two shapes differ."""
     for tensor, array in pairs:
         if tuple(tensor.shape) != tuple(array.shape):
             raise ValueError(f"a table has shape {tuple(array.shape)}; the declared sizes and degrees need "
@@ -27,20 +27,21 @@ def fill(pairs) -> None:
 
 
 def table(*shape: int) -> nn.Parameter:
-    """A table of coefficients, zero until a fit puts them in place."""
+    """A table of coefficients as a parameter; zero until a fit fills it."""
     return nn.Parameter(torch.zeros(shape, dtype=torch.float64))
 
 
 class TorchModel(nn.Module, ABC):
-    """A `Model` on parameters of its own: `reduced` builds it, and all mathematics is its.
+    """A Torch module whose parameters are the arrays of a `Model`. `reduced` builds that model, which does the
+    mathematics.
 
-    tables: names of the parameters that make, side by side, each table of a polynomial model; empty for other families.
+    tables: for each table of a polynomial model, the parameters that form it side by side; empty for other models.
 
-    A subclass declares, beside its equation, its parameters, and gives the family's `Model` on them as `reduced`. Its
-    constructor's arguments are attributes of the same names, plain values: with the state dict they rebuild the module.
+    A subclass declares its parameters and returns the `Model` on them as `reduced`. The arguments of its constructor
+    are also attributes of the same names, with plain values: together with the state dict they rebuild the module.
     Sizes, delays and timesteps as in `Model`; window_timestep None: the timestep.
-    given: arguments that the data give a training, unless a configuration names them.
-    Raises ValueError for sizes that are no positive whole numbers, or times that are not positive.
+    given: arguments that a training takes from the data, unless a configuration sets them.
+    Raises ValueError for sizes that are not positive whole numbers, or times that are not positive.
     """
 
     given: ClassVar[tuple[str, ...]] = ("input_dim", "output_dim", "timestep", "window_timestep")
@@ -60,14 +61,15 @@ class TorchModel(nn.Module, ABC):
     @property
     @abstractmethod
     def reduced(self) -> Model:
-        """The family's `Model` on this module's own parameters; gradients flow through it.
+        """The `Model` on this module's parameters; gradients flow through it.
 
-        Made anew each time, for it keeps what it derives from them: do not hold it beyond a change of a parameter.
+        Every call makes a new one, because a model caches values that it derives from its arrays. Do not use it after a
+        parameter has changed.
         """
 
     @property
     def sizes(self) -> dict:
-        """What every `Model` takes beside its own arrays."""
+        """The arguments that every `Model` takes in addition to its own arrays."""
         return {"state_scale": self.state_scale, "input_dim": self.input_dim, "output_dim": self.output_dim,
                 "delays": self.delays, "timestep": self.timestep, "window_timestep": self.window_timestep}
 
@@ -78,11 +80,11 @@ class TorchModel(nn.Module, ABC):
 
     @property
     def arguments(self) -> dict:
-        """Constructor arguments, plain values: with the state dict they rebuild the module."""
+        """Constructor arguments as plain values; together with the state dict they rebuild the module."""
         return {name: getattr(self, name) for name in signature(type(self)).parameters}
 
     def forward(self, window: Tensor, window_inputs: Tensor, inputs: Tensor) -> Tensor:
-        """Outputs (..., H, p) at the ends of the next H steps under inputs (..., H, m), see `encode` for the others."""
+        """Outputs (..., H, p) at the ends of the next H steps under inputs (..., H, m); see `encode` for the window."""
         model = self.reduced
         return model.decode(model.states(model.encode(window, window_inputs), inputs)[..., 1:, :])
 
@@ -111,35 +113,35 @@ class TorchModel(nn.Module, ABC):
         return self.reduced.rollout(z, inputs)
 
     def begin(self, chart: Tensor, parametrization: Tensor, A: Tensor, B: Tensor) -> None:
-        """Take the values of a fitted linear model, to be refined from there by gradients (fit=from_linear):
+        """Take the values of a fitted linear model, from which the gradient training starts (fit=from_linear):
 
-            z = chart · [ŷ, û],   y = parametrization · z,   A z + B u is dz/dt of a flow, z⁺ of a map.
+            z = chart · [ŷ, û],   y = parametrization · z,   A z + B u is dz/dt for a flow, z⁺ for a map.
 
         chart (n, (n_d + 1) p + n_d m), parametrization (p, n), A (n, n), B (n, m). Called within torch.no_grad().
         """
-        raise ValueError(f"{type(self).__name__} does not say how it begins as a linear model; write its method "
-                         "`begin`")
+        raise ValueError(f"{type(self).__name__} cannot start from a linear model, because it has no method `begin`; "
+                         "write that method, or choose another fit")
 
     def scales(self) -> dict[str, Tensor]:
-        """The size of a step for each coefficient, by the parameters' names: an optimizer sees θ / scale. Those that
-        are not named are of order one already.
+        """Step size of each coefficient, by parameter name: the optimizer works on θ / scale. Parameters that are not
+        named are already of order one.
         """
         return {}
 
     def at_timestep(self, timestep: float) -> Self:
-        """The same model, on the same device, with `step` covering another time in s; the window's spacing stays."""
+        """The same model on the same device with another length of `step`, s; the window's spacing stays."""
         again = type(self)(**(self.arguments | {"timestep": float(timestep)})).to(self.state_scale)
         again.load_state_dict(self.state_dict())
-        _ = again.reduced  # which refuses a time that no whole number of its steps covers
+        _ = again.reduced  # raises an error if timestep is not a whole multiple of base_timestep
         return again
 
 
 class PolynomialTorchModel(TorchModel):
-    """A `PolynomialModel` as a module.
+    """A `PolynomialModel` as a Torch module.
 
-    A subclass sets `structure` in its constructor, and one parameter for each name in `tables`: which parameters, side
-    by side, make each table of the model. What is trained, its coefficients and their sensitivities, follow from that.
-    `substeps` belongs to flows, `base_timestep` to maps and Euler steps.
+    A subclass sets `structure` in its constructor, and one parameter for each name in `tables`. tables: for each table
+    of the model, the parameters that form it side by side. The trained coefficients and their sensitivities follow from
+    it. `substeps` is for flows, `base_timestep` for maps and Euler steps.
     """
 
     tables = {
@@ -155,16 +157,16 @@ class PolynomialTorchModel(TorchModel):
 
     def at_timestep(self, timestep: float) -> Self:
         if self.structure.scheme != "runge_kutta" and "base_timestep" not in self.arguments:
-            raise ValueError(f"the constructor of {type(self).__name__} takes no base_timestep, the time that one "
-                             "application of its map or Euler step covers; without one it knows only its own timestep")
+            raise ValueError(f"{type(self).__name__} cannot change its timestep: its constructor has no argument "
+                             "base_timestep, the time that one map or Euler step covers; add that argument")
         return super().at_timestep(timestep)
 
     @torch.no_grad()
     def scales(self) -> dict[str, Tensor]:
-        """s_ij = (size of row i) / (size of monomial j) at the edge of the training data and inputs of one.
+        """s_ij = (size of row i) / (size of monomial j) at the edge of the training data and for inputs of 1.
 
-        The size of row i is Σ_j |θ_ij| |monomial_j|, at least a thousandth of the largest row's, so a step of relative
-        size ε changes the row by about ε of itself.
+        The size of row i is Σ_j |θ_ij| |monomial_j|, but at least a thousandth of the largest row's size. A step of
+        relative size ε then changes the row by about ε of its value.
         """
         edge = self.state_scale
         values = {"parametrization": self.structure.parametrization(edge),
@@ -184,10 +186,10 @@ class PolynomialTorchModel(TorchModel):
 
 
 class TrainablePolynomial(PolynomialTorchModel):
-    """A `PolynomialModel` of any structure, as one that was fitted or averaged, with its tables as parameters.
+    """A `PolynomialModel` of any structure, for example a fitted or averaged one, with its tables as parameters.
 
-    plain: what the model's `plain()` gave. shapes: of each of its arrays, by name. `of(model)` gives both, and the
-    tables' values. Raises what the model itself raises where the two do not fit.
+    plain: the result of the model's `plain()`. shapes: shape of each of its arrays, by name. `of(model)` makes the
+    module with the values of a model. Raises the errors of `PolynomialModel` if plain and shapes do not fit together.
     """
 
     def __init__(self, plain: dict, shapes: dict):
@@ -201,7 +203,7 @@ class TrainablePolynomial(PolynomialTorchModel):
 
     @classmethod
     def of(cls, model: PolynomialModel) -> Self:
-        """The module of a model, with its values."""
+        """A module with the structure and the values of a model."""
         made = cls(model.plain(), {name: list(array.shape) for name, array in model.arrays.items()})
         fill((getattr(made, name), np.array(array)) for name, array in model.numpy().arrays.items())
         return made
@@ -217,7 +219,7 @@ class TrainablePolynomial(PolynomialTorchModel):
 
 
 class FixedModel(TorchModel):
-    """A `Model` that is not trained any more, as a module: its arrays are buffers."""
+    """A `Model` that is not trained any more, as a Torch module; its arrays are buffers."""
 
     def __init__(self, model: Model):
         super().__init__(model.state_dim, model.input_dim, model.output_dim, model.delays, model.timestep,
@@ -227,7 +229,7 @@ class FixedModel(TorchModel):
             tensor = torch.tensor(array, dtype=torch.float64)
             if tensor.numel():
                 self.register_buffer(name, tensor)
-            else:  # torch.export cannot store what is registered and empty
+            else:  # torch.export cannot store an empty registered buffer
                 setattr(self, name, tensor)
 
     @property
@@ -242,4 +244,4 @@ def check_degrees(**degrees: int) -> None:
     """Raises ValueError for a degree or another number that is not whole, or below 1."""
     for name, degree in degrees.items():
         if int(degree) != degree or degree < 1:
-            raise ValueError(f"{name} is {degree}; expected 1 or more, a whole number")
+            raise ValueError(f"{name} is {degree}; expected a whole number, 1 or more")

@@ -1,4 +1,4 @@
-"""Trajectory piecewise linear models: linearizations of a robot's own equations, switched or blended by distance."""
+"""Trajectory piecewise linear (TPWL) models as Torch modules: linearizations of a robot's equations, blended."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ class TPWL(TorchModel):
 
         z = [q̃, ṽ],   z⁺ = Σ_i w_i(q̃) (A_i z + B_i u + c_i),   y = C z + d,
 
-    q̃ and ṽ the coordinates of the displacements and velocities of all nodes in one basis of `modes` vectors, (A_i, B_i,
-    c_i) a step linearized at one of `points` states; the weights are those of `PiecewiseLinearModel`, of the nearest
-    point alone for width 0. Only q̃ chooses: given the positions, a step is linear in velocities and inputs. The chart
-    is an extended Kalman filter that runs through the window.
-    state_dim = 2 modes. A fit sets modes, points and width. Raises ValueError for sizes that cannot be, or a
-    window_timestep that is no multiple of base_timestep.
+    q̃ and ṽ are the coordinates of the displacements and velocities of all nodes in one basis of `modes` vectors.
+    (A_i, B_i, c_i) is a step linearized at one of `points` states. The weights w_i are those of `PiecewiseLinearModel`;
+    for width 0 only the nearest point has weight. They depend on q̃ only, because for given positions a step is linear
+    in velocities and inputs. The chart is an extended Kalman filter that runs through the window.
+    state_dim = 2 modes. A fit sets modes, points and width. Raises ValueError for sizes below 1, a negative or infinite
+    width, or a window_timestep that is not a multiple of base_timestep.
     """
 
     given = (*TorchModel.given, "modes", "points", "width")
@@ -29,18 +29,18 @@ class TPWL(TorchModel):
                  width: float = 0.0, timestep: float = 0.01, window_timestep: float | None = None,
                  base_timestep: float | None = None):
         if modes < 1 or points < 1 or not 0 <= width < float("inf"):
-            raise ValueError(f"{modes} modes, {points} points and a width of {width} m; expected 1 or more of each, "
-                             "and a width of 0 (nearest point) or more")
+            raise ValueError(f"{modes} modes, {points} points and a width of {width} m; expected 1 or more modes and "
+                             "points, and a finite width of 0 (nearest point only) or more")
         super().__init__(2 * modes, input_dim, output_dim, delays, timestep, window_timestep)
         self.base_timestep = self.timestep if base_timestep is None else float(base_timestep)
         whole_multiple("the model's window_timestep", self.window_timestep, "its base_timestep", self.base_timestep)
         self.register_buffer("d", torch.zeros(self.output_dim, dtype=torch.float64))
         self.register_buffer("measurement", torch.eye(self.output_dim, dtype=torch.float64))
         self.resize(modes, points, width)
-        _ = self.reduced  # which refuses a timestep that is no whole multiple of the base
+        _ = self.reduced  # raises an error if timestep is not a whole multiple of base_timestep
 
     def resize(self, modes: int, points: int, width: float) -> None:
-        """Make room for another basis and other points; the tables start at zero."""
+        """Change the number of modes and points, and the width. All tables become zero."""
         self.modes, self.count, self.width, self.state_dim = int(modes), int(points), float(width), 2 * int(modes)
         n = self.state_dim
 

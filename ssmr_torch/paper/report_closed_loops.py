@@ -10,12 +10,12 @@ import numpy as np
 
 from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.evaluation.bootstrap import mean_interval
-from ssmr_torch.evaluation.report import Picture, Table
 from ssmr_torch.paper import closed_loop_figures as paper_figures_runs
 from ssmr_torch.paper import published_numbers as published
 from ssmr_torch.paper import workspace_figures as paper_figures
 from ssmr_torch.paper.number_text import MM, MS, PERCENT, counted_runs, of_each, ordered, saver, scaled, unless_nan
 from ssmr_torch.paper.verdicts import REFERENCE, Results, Run, loops, pareto_front, tally
+from ssmr_torch.report.html_page import Picture, Table
 from ssmr_torch.tasks.obstacles import random_circles
 
 PATHS = 10  # runs of a method that are drawn

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import h5py
 
-from ssmr_torch.evaluation.report import Picture, Section, Table
 from ssmr_torch.paper import published_numbers as published
 from ssmr_torch.paper import workspace_figures as paper_figures
 from ssmr_torch.paper.number_text import MM, MS, PERCENT, counted_runs, ordered, saver, scaled, span, unless_nan
 from ssmr_torch.paper.report_closed_loops import loop_parts, pareto_parts
 from ssmr_torch.paper.verdicts import REFERENCE, Results, Run, judge, loops, tally
+from ssmr_torch.report.html_page import Picture, Section, Table
 
 HORIZONS = ("50 ms", "200 ms", "1 s")
 BENCHES = ("hardware", "recordings")  # the emulated one, and recordings of the real one

@@ -9,6 +9,8 @@ import numpy as np
 from ssmr_torch.keywords import configurable
 from ssmr_torch.periods import whole_multiple
 from ssmr_torch.plants.base import Plant, PlantSheet, finite_vector
+from ssmr_torch.plants.emulated_actuators import EmulatedActuators, Forces
+from ssmr_torch.settings import non_negative
 
 DROPPED = ("held", "missing")
 # Sets the rig's random numbers apart from those that others draw with the same seed.
@@ -18,16 +20,7 @@ STREAM = 0x726967
 class Rig(PlantSheet):
     """A plant with the actuators and sensors of a bench, each part off by default: u → actuators → plant → sensors → y.
 
-    Actuators, per input, h the timestep, from the forces a, x, T of the step before:
-
-        v  = clip(u, input_bounds), at most saturation,
-        a⁺ = clip(v, a - rate_limit h, a + rate_limit h),
-        x⁺ = a⁺ - (a⁺ - x) exp(-h / actuator_lag),                            exact at the samples, as a⁺ is held
-        T⁺ = clip(T, x⁺ exp(-cable_friction), x⁺ exp(cable_friction)),        held during the step.
-
-    Friction is the capstan equation: a cable that wraps the angle θ with friction μ slips only where the tensions
-    at its ends differ by the factor exp(μθ), and else keeps what it transmits (Kaneko et al., "A new consideration
-    on tendon-tension control system of robot hands", ICRA 1991). This is a hysteresis that no slower motion avoids.
+    Actuators: see `EmulatedActuators`, which gives the forces T that act on the plant.
 
     Sensors, at sample k after reset, which is sample 0:
 
@@ -60,20 +53,13 @@ class Rig(PlantSheet):
         self._columns = _columns(outputs, plant)
         self.output_names = tuple(plant.output_names[column] for column in self._columns)
         self.input_names, self.rest = plant.input_names, plant.rest[self._columns]
-        self.noise_std = _non_negative("noise_std", noise_std, "m")
-        self.sensor_delay = _non_negative("sensor_delay", sensor_delay, "s")
+        self.noise_std = non_negative("noise_std", noise_std, "m")
+        self.sensor_delay = non_negative("sensor_delay", sensor_delay, "s")
         self.drop_probability = _probability(drop_probability)
         self.dropped = dropped
-        self.actuator_lag = _non_negative("actuator_lag", actuator_lag, "s")
-        self.rate_limit = _limit("rate_limit", rate_limit, plant, f"{plant.input_unit}/s")
-        self.saturation = _saturation(saturation, plant)
-        self.cable_friction = _friction(cable_friction, plant)
+        self.actuators = EmulatedActuators(plant, lag=actuator_lag, rate_limit=rate_limit, saturation=saturation,
+                                           cable_friction=cable_friction)
         self._delay = _samples(self.sensor_delay, plant.timestep)
-        ceiling = np.inf if self.saturation is None else self.saturation
-        self._lowest, self._highest = np.clip(plant.input_bounds, np.negative(ceiling), ceiling)
-        self._stride = np.inf if self.rate_limit is None else self.timestep * self.rate_limit
-        self._share_left = np.exp(-self.timestep / self.actuator_lag) if self.actuator_lag else 0.0
-        self._slip = np.exp(self.cable_friction)
         self._key = _key(0)
         self._memory = self._start(self.displacement, self._key)
 
@@ -85,8 +71,7 @@ class Rig(PlantSheet):
                           "parameters": getattr(self.plant, "parameters", {})},
                 "noise_std": self.noise_std, "sensor_delay": self.sensor_delay,
                 "drop_probability": self.drop_probability, "dropped": self.dropped,
-                "actuator_lag": self.actuator_lag, "rate_limit": _plain(self.rate_limit),
-                "saturation": _plain(self.saturation), "cable_friction": self.cable_friction,
+                **self.actuators.parameters,
                 "outputs": None if self.output_names == tuple(self.plant.output_names) else list(self.output_names)}
 
     @property
@@ -101,12 +86,12 @@ class Rig(PlantSheet):
     @property
     def applied(self) -> np.ndarray:
         """(m,), the forces that reached the plant in the last step; after a reset those it rests under."""
-        return self._memory.transmitted.copy()
+        return self._memory.forces.transmitted.copy()
 
     @property
     def state(self) -> np.ndarray:
         memory = self._memory
-        return np.concatenate([self.plant.state, [memory.sample], memory.limited, memory.lagged, memory.transmitted,
+        return np.concatenate([self.plant.state, [memory.sample], *memory.forces,
                                *memory.queue, memory.arrived, [memory.lost]])
 
     def reset(self, seed: int | None = None, state: np.ndarray | None = None) -> np.ndarray:
@@ -125,20 +110,13 @@ class Rig(PlantSheet):
         """Command the inputs (m,) for one timestep, clipped to the bounds; a misfit raises ValueError."""
         memory = self._memory
         u = finite_vector(input, len(self.input_names), "input")
-        limited, lagged, transmitted = self._actuate(np.minimum(np.maximum(u, self._lowest), self._highest))
-        observation = np.array(self.plant.step(transmitted), dtype=np.float64)[self._columns]
+        forces = self.actuators.step(memory.forces, u)
+        observation = np.array(self.plant.step(forces.transmitted), dtype=np.float64)[self._columns]
         newest, *queue = *memory.queue, observation
         lost, noise = self._draw(self._key, memory.sample + 1)
-        self._memory = _Memory(memory.sample + 1, limited, lagged, transmitted, tuple(queue),
-                               memory.arrived if lost else newest + noise, lost)
+        arrived = memory.arrived if lost else newest + noise
+        self._memory = _Memory(memory.sample + 1, forces, tuple(queue), arrived, lost)
         return self._sample()
-
-    def _actuate(self, force: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        last = self._memory
-        limited = np.minimum(np.maximum(force, last.limited - self._stride), last.limited + self._stride)
-        lagged = limited - (limited - last.lagged) * self._share_left
-        transmitted = np.minimum(np.maximum(last.transmitted, lagged / self._slip), lagged * self._slip)
-        return limited, lagged, transmitted
 
     def _draw(self, key: np.ndarray, sample: int) -> tuple[bool, np.ndarray | float]:
         """Whether a sample is lost, and its noise (p,), m."""
@@ -151,8 +129,8 @@ class Rig(PlantSheet):
 
     def _start(self, observation: np.ndarray, key: np.ndarray) -> _Memory:
         observation = np.array(observation, dtype=np.float64)
-        force = np.clip(0.0, self._lowest, self._highest)
-        return _Memory(0, force, force, force, (observation,) * self._delay, observation + self._draw(key, 0)[1], False)
+        queue, noise = (observation,) * self._delay, self._draw(key, 0)[1]
+        return _Memory(0, self.actuators.at_rest, queue, observation + noise, False)
 
     def _sample(self) -> np.ndarray:
         if self._memory.lost and self.dropped == "missing":
@@ -164,21 +142,19 @@ class Rig(PlantSheet):
         m, p = len(self.input_names), len(self.output_names)
         ends = np.cumsum([self.plant.state.size, 1, m, m, m, self._delay * p, p, 1])
         vector = finite_vector(state, ends[-1], "state")
-        plant_state, sample, limited, lagged, transmitted, queue, arrived, lost = np.split(vector, ends[:-1])
+        plant_state, sample, *forces, queue, arrived, lost = np.split(vector, ends[:-1])
         if sample[0] < 0 or sample[0] % 1 or lost[0] not in (0, 1):
             raise ValueError(f"state has the sample number {sample[0]} and the mark {lost[0]} for a dropped sample; "
                              "expected a whole number of 0 or more and 0 or 1: give a state that this rig returned")
-        return plant_state, _Memory(int(sample[0]), limited, lagged, transmitted,
-                                    tuple(queue.reshape(self._delay, p)), arrived, bool(lost[0]))
+        return plant_state, _Memory(int(sample[0]), Forces(*forces), tuple(queue.reshape(self._delay, p)), arrived,
+                                    bool(lost[0]))
 
 
 class _Memory(NamedTuple):
     """What a rig carries from sample to sample."""
 
     sample: int
-    limited: np.ndarray
-    lagged: np.ndarray
-    transmitted: np.ndarray
+    forces: Forces
     queue: tuple[np.ndarray, ...]
     arrived: np.ndarray
     lost: bool
@@ -204,16 +180,6 @@ def _key(seed: int) -> np.ndarray:
     return np.random.SeedSequence(seed, spawn_key=(STREAM,)).generate_state(2, np.uint64)
 
 
-def _plain(limit: np.ndarray | None) -> list | None:
-    return None if limit is None else limit.tolist()
-
-
-def _non_negative(name: str, value: float, unit: str) -> float:
-    if not 0 <= value < np.inf:
-        raise ValueError(f"{name} is {value} {unit}; expected a finite number of 0 or more")
-    return float(value)
-
-
 def _probability(value: float) -> float:
     if not 0 <= value < 1:
         raise ValueError(f"drop_probability is {value}; expected 0 or more and less than 1")
@@ -222,30 +188,3 @@ def _probability(value: float) -> float:
 
 def _samples(delay: float, timestep: float) -> int:
     return whole_multiple("sensor_delay", delay, "the plant's timestep", timestep) if delay else 0
-
-
-def _limit(name: str, value, plant: Plant, unit: str) -> np.ndarray | None:
-    """A limit per input, (m,), from one number or m."""
-    if value is None:
-        return None
-    limit, m = np.array(value, dtype=np.float64), len(plant.input_names)
-    if limit.shape not in ((), (m,)) or not ((limit > 0) & np.isfinite(limit)).all():
-        raise ValueError(f"{name} is {limit.tolist()} {unit}; expected one positive finite number or {m}, "
-                         "or None for no limit")
-    return np.array(np.broadcast_to(limit, m))
-
-
-def _saturation(value, plant: Plant) -> np.ndarray | None:
-    limit, bounds = _limit("saturation", value, plant, plant.input_unit), plant.input_bounds
-    if limit is not None and ((limit < np.maximum(bounds[0], -bounds[1])) | (limit > np.abs(bounds).max(axis=0))).any():
-        raise ValueError(f"saturation is {limit.tolist()} {plant.input_unit}; expected forces within the input bounds "
-                         f"{bounds.tolist()}: beyond them it has no effect")
-    return limit
-
-
-def _friction(value: float, plant: Plant) -> float:
-    friction = _non_negative("cable_friction", value, "(μθ)")
-    if friction and (plant.input_bounds[0] < 0).any():
-        raise ValueError(f"cable_friction is {friction} and the lowest inputs are {plant.input_bounds[0].tolist()} "
-                         f"{plant.input_unit}; expected 0 or more, as cables only pull: leave friction off")
-    return friction

@@ -1,4 +1,4 @@
-"""What several findings need of the recordings, computed once."""
+"""`Recorded`: the runs of a dataset and the quantities that several checks use, computed once."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A dataset's runs in memory, and its slow modes, noise and delay, from what is trained on."""
+    """The runs of a dataset in memory, and the slow modes, noise and delay of its training runs."""
 
     dataset: TrajectoryDataset
 
@@ -24,7 +24,7 @@ class Recorded:
         return tuple(run.read() for run in self.dataset)
 
     def of(self, split: str, kind: str | None = None) -> tuple[Trajectory, ...]:
-        """Runs of this split and kind; without a kind all but static ones."""
+        """Runs of this split and kind; without a kind, all runs except static ones."""
         return tuple(run for run in self.runs if run.split == split and (
             run.kind != "static" if kind is None else run.kind == kind))
 
@@ -34,18 +34,18 @@ class Recorded:
 
     @cached_property
     def extent(self) -> np.ndarray:
-        """(p,) m, from the lowest to the highest position of the training."""
+        """(p,), m, difference between the highest and the lowest position in the training runs."""
         y = np.concatenate([run.observation for run in self.training or self.runs])
         return np.ptp(y, axis=0)
 
     @property
     def reach(self) -> float:
-        """m, the largest of the outputs' extents."""
+        """m, the largest extent of any output."""
         return float(self.extent.max())
 
     @cached_property
     def input_extent(self) -> np.ndarray:
-        """(m,), from the lowest to the highest input of the training."""
+        """(m,), difference between the highest and the lowest input in the training runs."""
         return np.ptp(np.concatenate([run.input for run in self.training or self.runs]), axis=0)
 
     @cached_property

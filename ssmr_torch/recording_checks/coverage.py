@@ -1,4 +1,4 @@
-"""Range of amplitude, speed and input: what the test asks for beyond what the training holds."""
+"""Check of the range: whether the test runs exceed the training runs in position, speed or input."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from ssmr_torch.recording_checks.context import Recorded
 from ssmr_torch.recording_checks.finding import GOOD, LOOK, MISSING, Finding
 from ssmr_torch.trajectory import Trajectory
 
-OUTSIDE = 0.01      # of the test samples
-TOLERANCE = 0.02    # of the training's range, beyond it
-REACH = 0.02        # s, over which speed is measured at least
+OUTSIDE = 0.01      # share of the test samples that may be outside
+TOLERANCE = 0.02    # share of the training range by which a sample may exceed it
+REACH = 0.02        # s, shortest time over which speed is measured
 
 
 def velocity(run: Trajectory, noise: np.ndarray) -> np.ndarray:
@@ -26,17 +26,17 @@ def velocity(run: Trajectory, noise: np.ndarray) -> np.ndarray:
 
 
 def coverage(recorded: Recorded) -> Finding:
-    """Share of the test's samples outside of the training's range of position, speed and input, and how far."""
+    """Share of the test samples outside the training range of position, speed and input, and by how much."""
     subject, training, test = "range", recorded.training, recorded.of("test")
     controlled = recorded.of("train", "controlled")
     if not controlled:
-        return Finding(subject, MISSING, "0 controlled runs in the training: how inputs act cannot be learned.",
-                       "Record a minute with inputs that vary over the range the robot shall use.",
+        return Finding(subject, MISSING, "0 controlled training runs: the effect of the inputs cannot be learned.",
+                       "Record a minute with inputs that vary over the whole range of later use.",
                        {"controlled_s": 0.0})
     seconds = sum(run.length * run.timestep for run in controlled)
     if not test:
-        return Finding(subject, LOOK, f"{seconds:.3g} s of controlled training, and no test to compare its range with.",
-                       "Record a test run that moves as far and as fast as the robot shall.", {"controlled_s": seconds})
+        return Finding(subject, LOOK, f"{seconds:.3g} s of controlled training runs, but no test run to compare.",
+                       "Record a test run that moves as far and as fast as in later use.", {"controlled_s": seconds})
     noise = recorded.noise.std
     parts = {"position": lambda run: run.observation, "speed": lambda run: velocity(run, noise),
              "input": lambda run: run.input}
@@ -48,20 +48,20 @@ def coverage(recorded: Recorded) -> Finding:
         curves[name] = (known, asked)
     worst = max(parts, key=lambda name: numbers[f"{name}_outside"])
     share = numbers[f"{worst}_outside"]
-    said = "Test samples outside of the training's range: " + ", ".join(
+    said = "Test samples outside the training range: " + ", ".join(
         f"{name} {100 * numbers[f'{name}_outside']:.2g} % (up to {numbers[f'{name}_factor']:.3g} "
         "times)" for name in parts)
-    said += f"; {seconds:.3g} s of controlled training."
+    said += f"; {seconds:.3g} s of controlled training runs."
     if share > OUTSIDE:
-        return Finding(subject, LOOK, said, f"Record training with {numbers[f'{worst}_factor']:.2g} times the "
-                                            f"{worst}, or "
-                       "read the score as one of extrapolation.", numbers, curves)
+        return Finding(subject, LOOK, said, f"Record training runs with {numbers[f'{worst}_factor']:.2g} times the "
+                                            f"{worst}. "
+                       "Otherwise the test score is one of extrapolation.", numbers, curves)
     return Finding(subject, GOOD, said, "", numbers, curves)
 
 
 def _beyond(known: np.ndarray, asked: np.ndarray) -> tuple[float, float]:
-    """Share of the rows asked that lie outside of the range known, in any column, and how many times as far from its
-    middle as its edge.
+    """Share of the rows of `asked` outside the range of `known` in any column, and the largest distance from the middle
+    of the range, relative to the distance of its edge.
     """
     low, high = known.min(axis=0), known.max(axis=0)
     middle, half = (low + high) / 2, np.maximum((high - low) / 2, 1e-300)

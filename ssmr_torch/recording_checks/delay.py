@@ -1,4 +1,4 @@
-"""How long after a command the robot moves."""
+"""Estimate of the delay: how long after a command the robot moves."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ import numpy as np
 from ssmr_torch.trajectory import Trajectory
 
 EARLIEST, LATEST = -40, 40  # samples
-PAST = 6                    # outputs that the prediction knows
-AHEAD = (1, 3, 8)           # samples that it looks ahead
+PAST = 6                    # number of past outputs from which the prediction is made
+AHEAD = (1, 3, 8)           # numbers of samples that it predicts ahead
 ROWS = 8000
-SIGNIFICANT = 0.005         # of the residual that the inputs of one lag must explain
-TELLING = 0.05              # that the inputs of the most telling lag must explain, else they are too smooth to tell
-ONSET = 0.1                 # of what the most telling lag explains
-FLOOR = 1e-12               # of the motion, that always remains
-LAST = 4                    # lags that stand for all that is earlier, and tell nothing of their own
-CHANCE = 6.0                # times the mean of what an input explains by chance
+SIGNIFICANT = 0.005         # share of the residual that the inputs of one lag must explain
+TELLING = 0.05              # share that the inputs of the most informative lag must explain; else they are too smooth
+ONSET = 0.1                 # share of what the most informative lag explains
+FLOOR = 1e-12               # smallest residual, relative to the motion
+LAST = 4                    # last lags, which stand for all earlier inputs and are not judged
+CHANCE = 6.0                # multiple of the mean that an input explains by chance
 
 
 class Delay(NamedTuple):
-    """samples: between a command and the first motion, 0 where observation[k + 1] feels input[k]; None if it cannot be
-    told. gain: at each lag, how many times smaller the residual is with the inputs up to there (lags, ratio).
+    """samples: number of samples between a command and the first motion; 0 if input[k] already acts on
+    observation[k + 1]; None if it cannot be estimated. gain: (lags, ratio), by which factor the inputs up to each lag
+    reduce the residual.
     """
 
     samples: int | None
@@ -34,10 +35,10 @@ class Delay(NamedTuple):
 def command_delay(runs: Sequence[Trajectory]) -> Delay:
     """The smallest lag at which inputs matter: y[k+s] is regressed on the past of y and on inputs u[k+s-1-j].
 
-    The inputs enter from the earliest to the latest, each lag j as a block; the residuals of all these nested
+    The inputs are added from the earliest to the latest, one block per lag j. The residuals of all these nested
     regressions come from one QR decomposition. The delay is the smallest lag that still lowers the residual by more
-    than `SIGNIFICANT`, than chance, and than `ONSET` of the most telling lag; of several steps s ahead the smallest
-    delay counts, since noise only hides it.
+    than `SIGNIFICANT`, by more than chance, and by more than `ONSET` of the most informative lag. The smallest delay
+    over several steps s ahead counts, because noise can only hide an effect.
     """
     runs = [run for run in runs if run.length > LATEST + 4 * PAST and np.ptp(run.input, axis=0).max() > 0]
     lags = np.arange(EARLIEST, LATEST + 1)
@@ -46,7 +47,7 @@ def command_delay(runs: Sequence[Trajectory]) -> Delay:
     best, shown = None, None
     for ahead in AHEAD:
         residual, chance = _nested(runs, ahead, lags)
-        drop = (residual[1:] / residual[:-1] - 1)[:-LAST]  # what the inputs of lag j explain
+        drop = (residual[1:] / residual[:-1] - 1)[:-LAST]  # share that the inputs of lag j explain
         matters = np.flatnonzero(drop > max(SIGNIFICANT, chance, ONSET * drop.max()))
         found = None if not len(matters) or drop.max() < TELLING else int(lags[matters[0]])
         if found is not None and (best is None or found < best):
@@ -56,12 +57,12 @@ def command_delay(runs: Sequence[Trajectory]) -> Delay:
 
 
 def _nested(runs: Sequence[Trajectory], ahead: int, lags: np.ndarray) -> tuple[np.ndarray, float]:
-    """Residual with the inputs of lag j and later, for each j, and what chance alone would change it by."""
+    """Residual with the inputs of lag j and later, for each j, and its expected change by chance."""
     scale = np.std(np.concatenate([run.observation for run in runs]), axis=0)
     known, targets = [], []
     for run in runs:
         first, last = lags[-1] + PAST + ahead, run.length + min(lags[0], 0) - 1
-        rows = np.arange(first, last)  # of the target
+        rows = np.arange(first, last)  # rows of the target
         every = max(1, sum(each.length for each in runs) // ROWS)
         rows = rows[::every]
         y = run.observation / scale

@@ -1,10 +1,10 @@
-"""What a check of recordings finds: one subject, a number, and what to do about it."""
+"""`Finding`: the result of one recording check, with its severity, a number, and what to do."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-GOOD, LOOK, MISSING, UNTOLD = "good", "look here", "missing", "cannot be told"
+GOOD, LOOK, MISSING, UNTOLD = "good", "warning", "missing", "unknown"
 SEVERITIES = (GOOD, LOOK, MISSING, UNTOLD)
 
 
@@ -12,9 +12,9 @@ SEVERITIES = (GOOD, LOOK, MISSING, UNTOLD)
 class Finding:
     """One subject of the check.
 
-    severity: "good", "look here", "missing", or "cannot be told" from these recordings. said: one sentence with the
-    number. remedy: one sentence, empty where there is nothing to do. numbers: plain values, SI units. curves: arrays
-    for the figure.
+    severity: "good", "warning", "missing", or "unknown" if these recordings do not show it. said: one sentence with the
+    number. remedy: one sentence on what to do; empty if there is nothing to do. numbers: plain values, SI units.
+    curves: arrays for the figure.
     """
 
     subject: str
@@ -28,14 +28,14 @@ class Finding:
         if self.severity not in SEVERITIES:
             raise ValueError(f"{self.subject}: severity {self.severity!r}; expected one of {SEVERITIES}")
         if self.severity != GOOD and not self.remedy:
-            raise ValueError(f"{self.subject} is {self.severity!r}, but names no remedy")
+            raise ValueError(f"{self.subject} is {self.severity!r}, but has no remedy; give one sentence on what to do")
 
     def __str__(self) -> str:
         return f"{self.severity}: {self.said}{f' {self.remedy}' if self.remedy else ''}"
 
 
 def graded(value: float, look: float, missing: float) -> str:
-    """Severity of a number of which less is better: above `look`, above `missing`."""
+    """Severity of a number that should be small: a warning above `look`, missing above `missing`."""
     return GOOD if value <= look else LOOK if value <= missing else MISSING
 
 

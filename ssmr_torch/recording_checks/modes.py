@@ -1,4 +1,4 @@
-"""The slow modes of a robot, as its recordings show them before any model is fitted."""
+"""Estimate of a robot's slow modes from its recordings, before any model is fitted."""
 
 from __future__ import annotations
 
@@ -9,19 +9,18 @@ import numpy as np
 
 from ssmr_torch.trajectory import Trajectory
 
-LAGS = 24           # samples of a delay window, spread over half a period of the strongest motion
+LAGS = 24           # number of samples of a delay window, spread over half a period of the strongest motion
 CONTROLLED_LAGS = 6
 CONTROLLED_LAG = 0.01   # s
-ENERGY = 0.999      # share of the windows' energy that the linear map is fitted to
-MOST_MODES = 12     # of the linear map
-WEAKEST = 0.03      # a mode with less of this share of the strongest mode's motion is not told from noise
-CARRIES = 0.1       # of that share, from which on a mode counts
+ENERGY = 0.999      # share of the windows' energy to which the linear map is fitted
+MOST_MODES = 12     # largest number of modes of the linear map
+WEAKEST = 0.03      # a mode with a smaller share of the strongest mode's motion cannot be distinguished from noise
+CARRIES = 0.1       # smallest share of the strongest mode's motion for a mode to count
 
 
 class Modes(NamedTuple):
-    """rates: (n,) 1/s, one of each conjugate pair, slowest decay first. share: (n,) of the strongest mode's motion.
-
-    free: whether they were seen in decays; from controlled runs alone they are rough.
+    """rates: (n,), 1/s, one of each conjugate pair, slowest decay first. share: (n,), motion of each mode relative to
+    the strongest one. free: whether they come from decays; from controlled runs they are only rough.
     """
 
     rates: np.ndarray
@@ -30,15 +29,15 @@ class Modes(NamedTuple):
 
     @property
     def fastest(self) -> complex | None:
-        """Of the modes that carry at least `CARRIES` of the motion the one that turns or decays fastest, 1/s."""
+        """The mode that oscillates or decays fastest, 1/s, among those with a share of at least `CARRIES`."""
         carrying = self.rates[self.share >= CARRIES]
         return complex(carrying[np.argmax(np.abs(carrying))]) if len(carrying) else None
 
     @property
     def memory(self) -> float | None:
-        """s, after which the slowest carrying mode has fallen to 5 %.
+        """Time in s after which the slowest mode that counts has decayed to 5 %.
 
-        Controlled runs also show modes of their inputs, which are slow: there only those near the fastest count.
+        Controlled runs also show modes of their inputs, which are slow. Only modes near the fastest count there.
         """
         carrying = self.rates[self.share >= CARRIES]
         if not self.free:
@@ -47,11 +46,11 @@ class Modes(NamedTuple):
 
 
 def slow_modes(runs: Sequence[Trajectory]) -> Modes:
-    """The modes that carry the motion of the decays, where there are none that of the controlled runs.
+    """The main modes of the motion in the decays, or in the controlled runs if there are no decays.
 
     Dynamic mode decomposition of delay windows w: w(t + τ) = A w(t) + B u(t) by least squares on the leading singular
-    directions, λ = ln(eigenvalues of A) / τ. The windows of decays span half a period of the strongest frequency, those
-    of controlled runs 60 ms. Modes with less than `WEAKEST` of the motion and those that grow are left out.
+    directions, λ = ln(eigenvalues of A) / τ. The windows of decays cover half a period of the strongest frequency, the
+    windows of controlled runs 60 ms. Modes with a share below `WEAKEST` and growing modes are left out.
     """
     moving = [run for run in runs if run.length >= 16 and np.ptp(run.observation, axis=0).max() > 0]
     decays = [run for run in moving if run.kind == "decay"]
@@ -71,7 +70,7 @@ def slow_modes(runs: Sequence[Trajectory]) -> Modes:
 
 
 def strongest_frequency(runs: Sequence[Trajectory]) -> float:
-    """Hz, the median of the spectrum of the runs' motion."""
+    """Median frequency, Hz, of the spectrum of the motion."""
     frequencies, power = [], []
     for run in runs:
         y = run.observation - run.observation.mean(axis=0)
@@ -86,7 +85,7 @@ def strongest_frequency(runs: Sequence[Trajectory]) -> float:
 
 
 def _windows(runs: Sequence[Trajectory], lags: int, stride: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Delay windows, those a stride later, and the mean input in between; each run about its own mean."""
+    """Delay windows, the windows one stride later, and the mean input in between; each run relative to its own mean."""
     before, after, inputs = [], [], []
     every = max(1, sum(run.length for run in runs) // 20000)
     for run in runs:
@@ -123,7 +122,7 @@ np.ndarray]:
     share = share / share.max()
     with np.errstate(divide="ignore"):
         rates = np.log(values.astype(complex)) / step
-    turning = (rates.imag > -1e-9) & (rates.imag < 3.1 / step)  # one of each pair; at Nyquist nothing is seen
+    turning = (rates.imag > -1e-9) & (rates.imag < 3.1 / step)  # one of each pair, below the Nyquist frequency
     kept = (share > WEAKEST) & (rates.real < 0) & turning
     order = np.argsort(-rates[kept].real)
     return rates[kept][order], share[kept][order]

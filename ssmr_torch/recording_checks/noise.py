@@ -1,4 +1,4 @@
-"""White measurement noise, estimated from the recordings alone."""
+"""Estimate of the white measurement noise from recordings."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ import numpy as np
 
 from ssmr_torch.trajectory import Trajectory
 
-ORDERS = (3, 4, 5, 6)  # of differences
-WINDOW = 48         # samples
-QUIETEST = 0.2      # share of the windows
-FEWEST = 12         # windows
-AGREEMENT = 1.15    # between two orders of differences, where white noise alone remains
+ORDERS = (3, 4, 5, 6)  # orders of the differences
+WINDOW = 48         # samples in a window
+QUIETEST = 0.2      # share of the windows that are used
+FEWEST = 12         # smallest number of windows
+AGREEMENT = 1.15    # largest ratio between two orders of differences if only white noise remains
 
 
 class Noise(NamedTuple):
-    """std: (p,) standard deviation of the white noise, m; step: (p,) of the rounding, 0 where none is seen, m.
-
-    bound: whether the motion itself still shows, so that std is only an upper bound.
+    """std: (p,), m, standard deviation of the white noise; step: (p,), m, step of the rounding, 0 if none is visible.
+    bound: whether motion is still visible in the differences, so that std is only an upper bound.
     """
 
     std: np.ndarray
@@ -31,10 +30,10 @@ class Noise(NamedTuple):
 def measurement_noise(runs: Sequence[Trajectory]) -> Noise:
     """White noise by differences of order q in quiet windows: var(Δ^q y) = C(2q, q) σ².
 
-    Differences of a smooth motion fall with the order, those of white noise do not: the order is raised until two
-    agree. Windows are called quiet by their slow motion, a mean over many samples, which says nothing of their noise:
-    choosing those with the smallest differences would estimate σ too low. The median over windows is corrected to the
-    mean of its χ² distribution, with the degrees of freedom that correlated differences leave.
+    Differences of a smooth motion become smaller with the order; those of white noise do not. The order is therefore
+    raised until two orders agree. Quiet windows are those with little slow motion, a mean over many samples, which does
+    not depend on their noise; windows with the smallest differences would give a σ that is too small. The median over
+    windows is corrected to the mean of its χ² distribution, with the degrees of freedom of correlated differences.
     """
     outputs = runs[0].observation.shape[1]
     std, step, bound = np.zeros(outputs), np.zeros(outputs), False
@@ -47,7 +46,7 @@ def measurement_noise(runs: Sequence[Trajectory]) -> Noise:
 
 
 def _settled(windows: np.ndarray) -> tuple[bool, float]:
-    """Whether two orders of differences agree in the quietest windows, and what the lower one estimates there."""
+    """Whether two orders of differences agree in the quietest windows, and the estimate by the lower order."""
     chosen = windows[:max(FEWEST, int(QUIETEST * len(windows)))]
     found = [_of_order(order, chosen) for order in ORDERS] if len(chosen) else [0.0]
     for early, late in zip(found, found[1:]):
@@ -57,7 +56,7 @@ def _settled(windows: np.ndarray) -> tuple[bool, float]:
 
 
 def _by_quietness(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """All windows (n, WINDOW), those of the slowest motion first."""
+    """All windows (n, WINDOW), the slowest motion first."""
     windows, speeds = [], []
     length = int(min(WINDOW, max(len(y) for y in columns)))
     for y in columns:
@@ -71,14 +70,14 @@ def _by_quietness(columns: Sequence[np.ndarray]) -> np.ndarray:
 def _of_order(order: int, windows: np.ndarray) -> float:
     differences = np.diff(windows, order, axis=1)
     variance = np.mean(differences ** 2, axis=1) / comb(2 * order, order)
-    # mean squares of correlated numbers scatter as those of fewer independent ones: 2 / k of their mean
+    # a mean square of correlated numbers varies like one of k independent numbers: relative variance 2 / k
     correlation = np.array([comb(2 * order, order + lag) for lag in range(order + 1)]) / comb(2 * order, order)
     freedom = differences.shape[1] / (1 + 2 * np.sum(correlation[1:] ** 2))
     return float(np.sqrt(np.median(variance) / (1 - 2 / (9 * freedom)) ** 3))
 
 
 def rounding(columns: Sequence[np.ndarray]) -> float:
-    """The step to which these values are rounded, m; 0 where they are not."""
+    """The step to which these values are rounded, m; 0 if they are not rounded."""
     moves = np.concatenate([np.abs(np.diff(y)) for y in columns])
     moves = moves[moves > 0]
     if len(moves) < 50:

@@ -1,4 +1,4 @@
-"""What recordings lack, said before any fit."""
+"""`check`: runs all recording checks on a dataset before a fit, and reports their findings."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ CHECKS = (decays, coverage, dither, held_out, noise, sampling, delay, friction, 
 
 @dataclass(frozen=True, eq=False)
 class RecordingsReport(DataSheet):
-    """Findings about recordings, one per subject, each with a severity, a number and a remedy; `findings` by name."""
+    """The findings of all recording checks, one per subject, each with a severity, a number and a remedy."""
 
     findings: tuple[Finding, ...]
     title: str
     dataset: TrajectoryDataset
 
     def __getitem__(self, subject: str) -> Finding:
-        """Raises KeyError, with the subjects that exist, for another."""
+        """The finding of a subject. Raises KeyError for an unknown subject and lists all subjects."""
         for finding in self.findings:
             if finding.subject == subject:
                 return finding
-        raise KeyError(f"no finding {subject!r}; there are {[each.subject for each in self.findings]}")
+        raise KeyError(f"there is no finding {subject!r}; the findings are {[each.subject for each in self.findings]}")
 
     def counts(self) -> dict[str, int]:
-        """How many findings have each severity."""
+        """Number of findings of each severity."""
         return {severity: sum(each.severity == severity for each in self.findings) for severity in SEVERITIES}
 
     def as_dict(self) -> dict:
-        """Plain values: of each subject severity, sentence, remedy and numbers in SI units."""
+        """Plain values for each subject: severity, sentence, remedy, and numbers in SI units."""
         return {each.subject: {"severity": each.severity, "said": each.said, "remedy": each.remedy,
                                "numbers": each.numbers} for each in self.findings}
 
@@ -48,19 +48,19 @@ class RecordingsReport(DataSheet):
         return f"Recordings: {self.title}; {counted}", {each.subject: str(each) for each in self.findings}
 
     def figures(self, directory: str | Path) -> list[Path]:
-        """Draw what was found into directory/recordings.svg; needs matplotlib (extra train)."""
+        """Draw the findings into directory/recordings.svg; needs matplotlib (extra train)."""
         from ssmr_torch.evaluation import recordings_figures
 
         return recordings_figures.save_all(self.findings, directory, self.dataset.output_names)
 
 
 def check(data: TrajectoryDataset) -> RecordingsReport:
-    """What recordings lack, before any fit: decays, range, dither, held-out runs, noise, sampling, delay, friction,
-    drift and the neutral input, each with a number and a remedy.
+    """Check recordings before a fit: decays, range, dither, held-out runs, noise, sampling, delay, friction, drift and
+    the neutral input. Each finding has a number and, if something is wrong, a remedy.
 
-    data: of `read`, `load` or `trajectories`. The training's runs are judged; nothing is changed. A subject that these
-    runs cannot tell says so.
-    Raises TypeError for what is no dataset.
+    data: from `read`, `load` or `trajectories`. The training runs are checked, and nothing is changed. If the runs do
+    not show a subject, its severity is "unknown".
+    Raises TypeError for an object that is not a dataset.
     """
     refuse_other_data(data)
     recorded = Recorded(data)

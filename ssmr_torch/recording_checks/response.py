@@ -1,4 +1,4 @@
-"""A linear model of how the inputs move the robot, simple enough to show what is left over: drift, offset, friction."""
+"""A simple linear model of the effect of the inputs, whose residuals show drift, offset and friction."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 from ssmr_torch.recording_checks.modes import Modes
 from ssmr_torch.trajectory import Trajectory
 
-SAMPLES_A_PERIOD = 12   # that are kept of each run
+SAMPLES_A_PERIOD = 12   # samples per period that are kept of each run
 MOST_MODES = 3
-SHORTEST = 4            # times the memory that a run must last
+SHORTEST = 4            # smallest length of a run, relative to the memory of the modes
 MOST_ROWS = 6000
 
 
 class Response(NamedTuple):
-    """Of each regressor that was asked for: coefficients (columns, p) m and their standard errors; gain: (m, p), m per
-    unit of input, of the static linear part at zero input.
+    """Coefficients (columns, p), m, of each requested regressor, and their standard errors. gain: (m, p), m per unit of
+    input, of the static linear part at zero input.
     """
 
     coefficients: dict[str, np.ndarray]
@@ -28,12 +28,12 @@ class Response(NamedTuple):
 
 
 def response(runs: Sequence[Trajectory], modes: Modes, more, delay: int = 0, where=None) -> Response | None:
-    """Least squares of y on the inputs seen through the slow modes, and on `more`.
+    """Least squares of y on the inputs, filtered by the slow modes, and on `more`.
 
-    Each input, and each product of two inputs where there are rows enough, passes x' = λ (x − u) for the slow rates λ;
-    y is linear in Re x and Im x. more(run, number, count) → {name: columns (T, k)} are further regressors.
-    where(run) → (T,): the samples that count. Standard errors count correlated residuals as fewer independent ones.
-    delay: samples by which inputs act late. None where no run lasts `SHORTEST` times the modes' memory.
+    Each input is filtered by x' = λ (x − u) for the slow rates λ; products of two inputs as well, if there are enough
+    rows. y is linear in Re x and Im x. more(run, number, count) → {name: columns (T, k)} are further regressors.
+    where(run) → (T,): the samples that count. Standard errors take the correlation of the residuals into account.
+    delay: number of samples by which inputs act late. Returns None if no run lasts `SHORTEST` times the modes' memory.
     """
     memory, fastest = modes.memory, modes.fastest
     if memory is None:
@@ -70,7 +70,7 @@ def _pairs(inputs: int) -> int:
 
 def _seen(u: np.ndarray, rates: np.ndarray, timestep: float, squares: bool,
           delay: int) -> tuple[np.ndarray, np.ndarray]:
-    """(T, columns), of each mode Re and Im of what passed it, and (modes, m), the columns that inputs at rest reach."""
+    """Filtered inputs (T, columns), Re and Im for each mode, and (modes, m), the columns with a gain at rest."""
     from scipy.signal import lfilter
 
     if delay:
@@ -110,7 +110,7 @@ def _solved(parts, targets, edges) -> Response:
 
 
 def _correlation(residual: np.ndarray, edges: Sequence[int]) -> np.ndarray:
-    """(p,) how many correlated residuals count as one: 1 + 2 Σ ρ, up to where the correlation has died away."""
+    """(p,), number of correlated residuals that count as one: 1 + 2 Σ ρ, summed until the correlation has decayed."""
     factors = np.ones(residual.shape[1])
     for column in range(residual.shape[1]):
         spectrum, longest = 0.0, max(edges)

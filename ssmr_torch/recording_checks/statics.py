@@ -1,4 +1,4 @@
-"""Drift, friction and where the inputs are neutral: what the positions do that the slow modes do not explain."""
+"""Checks of the static behaviour: drift, friction and neutral input, from motion that the slow modes do not explain."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from ssmr_torch.recording_checks.response import response
 from ssmr_torch.trajectory import Trajectory
 
 CERTAIN = 4.0       # standard errors
-MATTERS = 0.01      # of the reach
-DOUBTFUL = 0.05     # of the reach, above which an uncertain number tells nothing
-TURNS = 0.05        # of an input's range, that it moves back before it has turned
-SLOW = 0.15         # of an input's range, that it may change in a period of the slowest mode
+MATTERS = 0.01      # share of the reach above which an effect matters
+DOUBTFUL = 0.05     # largest uncertainty, as a share of the reach, of a number that is reported
+TURNS = 0.05        # share of an input's range by which it must move back to count as turned
+SLOW = 0.15         # share of an input's range that it may change in a period of the slowest mode
 REVERSALS = 6
-UNEXPLAINED = ("The slow modes and inputs explain too little of the motion to be sure: record longer, more slowly, or "
+UNEXPLAINED = ("The slow modes and inputs explain too little of the motion. Record longer runs or slower inputs, or "
                "return to the same inputs more often.")
 
 
@@ -28,12 +28,12 @@ def _constants(run: Trajectory, number: int, count: int) -> dict:
 
 
 def drift(recorded: Recorded) -> Finding:
-    """Trend of the position over each controlled run, and from run to run, that the inputs do not explain."""
+    """Trend of the position within each controlled run, and from run to run, that the inputs do not explain."""
     subject, runs = "drift", [run for run in recorded.of("train", "controlled")]
     found = response(runs, recorded.modes, _constants, recorded.delay.samples or 0) if runs else None
     if found is None:
-        return Finding(subject, UNTOLD, "No controlled training run is long against the slow modes.",
-                       "Record a run of half a minute, and rest at its start and its end.", {"within_m": None})
+        return Finding(subject, UNTOLD, "No controlled training run is long compared with the slow modes.",
+                       "Record a run of half a minute that begins and ends at rest.", {"within_m": None})
     sizes, errors = found.coefficients["slope"], found.errors["slope"]
     within, sure = np.linalg.norm(sizes, axis=1), CERTAIN * np.linalg.norm(errors, axis=1)
     offsets, doubt = found.coefficients["constant"], np.linalg.norm(found.errors["constant"], axis=1)
@@ -46,7 +46,7 @@ def drift(recorded: Recorded) -> Finding:
             f"run{between if len(within) > 1 else ''}.")
     least, curves = MATTERS * recorded.reach, {"slopes": sizes, "errors": errors}
     if (within > np.maximum(sure, least)).any() or (apart > np.maximum(2 * CERTAIN * doubt, least)).any():
-        return Finding(subject, LOOK, said, "Measure each run from the robot's rest at its start, and let the camera "
+        return Finding(subject, LOOK, said, "Measure each run from the rest position at its start, and let the camera "
                                             "and "
                        "the robot warm up.", numbers, curves)
     if sure.max() > DOUBTFUL * recorded.reach:
@@ -55,7 +55,7 @@ def drift(recorded: Recorded) -> Finding:
 
 
 def neutral(recorded: Recorded) -> Finding:
-    """Whether the robot rests under zero input: the displacement that the response has at u = 0."""
+    """Whether the robot rests at zero for zero input: the displacement of the response at u = 0."""
     subject = "neutral input"
     runs = recorded.of("train", "controlled")
     u = np.concatenate([run.input for run in recorded.training or recorded.runs])
@@ -64,31 +64,31 @@ def neutral(recorded: Recorded) -> Finding:
     numbers = {"signed_inputs": signed, "decays_under_m": float(max(resting, default=0.0))}
     size = np.abs(u).max() or 1.0
     if resting and max(resting) > MATTERS * size:
-        return Finding(subject, LOOK, f"Decays run under inputs of up to {max(resting):.3g}, not zero.", "Subtract the "
-                       "resting input from all inputs, or measure from the rest under zero input.", numbers)
+        return Finding(subject, LOOK, f"The decays have inputs of up to {max(resting):.3g}, not zero.", "Subtract the "
+                       "input at rest from all inputs, or measure from the rest position at zero input.", numbers)
     found = response(runs, recorded.modes, lambda run, *_: {"constant": np.ones((run.length, 1))},
                      recorded.delay.samples or 0) if runs else None
     if found is None:
         return Finding(subject, UNTOLD, f"No controlled run is long enough; {signed} of {u.shape[1]} inputs are "
                                         "signed.",
-                       "Record a controlled run that begins at rest under zero input.", numbers)
+                       "Record a controlled run that begins at rest with zero input.", numbers)
     offset, error = found.coefficients["constant"][0], found.errors["constant"][0]
     away, doubt = float(np.linalg.norm(offset)), float(np.linalg.norm(error))
     shift = -np.linalg.lstsq(found.gain.T, offset, rcond=0.05)[0]
     numbers |= {"offset_m": away, "offset_error_m": doubt, "neutral_input": shift.tolist()}
     said = (f"Without input the robot rests {millimetres(away)} (± {millimetres(doubt)}) from zero; {signed} of "
-            f"{u.shape[1]} inputs are signed.")
+            f"{u.shape[1]} inputs take both signs.")
     if away > max(CERTAIN * doubt, 3 * MATTERS * recorded.reach):
-        return Finding(subject, LOOK, said, "Give the position under zero input as rest, or subtract the input under "
-                       f"which it rests, about {np.round(shift, 3).tolist()}.", numbers)
+        return Finding(subject, LOOK, said, "State the position at zero input as rest, or subtract the input at which "
+                       f"the robot rests, about {np.round(shift, 3).tolist()}.", numbers)
     if CERTAIN * doubt > DOUBTFUL * recorded.reach:
         return Finding(subject, UNTOLD, said, UNEXPLAINED, numbers)
     return Finding(subject, GOOD, said, "", numbers)
 
 
 def turned(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(T, m) the direction, −1 or 1, in which each input moved last by more than `TURNS` of its range, and (T, m)
-    whether that is clear: not while it turns, and as long after that.
+    """(T, m), last direction, −1 or 1, in which each input moved by more than `TURNS` of its range; and (T, m), whether
+    it is certain. It is not certain while an input turns, and for the same time afterwards.
     """
     directions, clear = np.zeros_like(u), np.ones(u.shape, dtype=bool)
     for column in range(u.shape[1]):
@@ -107,14 +107,14 @@ def turned(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def friction(recorded: Recorded) -> Finding:
-    """Width of the loop between the ways there and back: what the direction of the last motion adds to the position."""
+    """Friction as the width of the hysteresis loop: the effect of the direction of the last motion on the position."""
     subject, runs = "friction", recorded.of("train", "controlled")
     if recorded.modes.memory is None or not runs:
-        return Finding(subject, UNTOLD, "No slow mode is seen, or there is no controlled run.",
-                       "Record inputs that go slowly there and back.", {"width": None})
+        return Finding(subject, UNTOLD, "The runs show no slow mode, or there is no controlled run.",
+                       "Record inputs that go slowly up and down again.", {"width": None})
     period = recorded.modes.memory
     slow = [run for run in runs if _slow_reversals(run, period) >= REVERSALS]
-    lags = not _one_speed(slow)  # at one speed a lag and a loop look the same
+    lags = not _one_speed(slow)  # at one speed a lag looks like a loop
 
     def more(run: Trajectory, *_) -> dict:
         speed = {"speed": np.gradient(run.input, run.timestep, axis=0)} if lags else {}
@@ -123,27 +123,28 @@ def friction(recorded: Recorded) -> Finding:
     found = response(slow, recorded.modes, more, recorded.delay.samples or 0,
                      where=lambda run: turned(run.input)[1].all(axis=1)) if slow else None
     if found is None:
-        return Finding(subject, UNTOLD, f"No input goes one way for {period:.2g} s, and back, often enough.",
-                       "Record inputs that go slowly there and back.", {"width": None})
+        return Finding(subject, UNTOLD, f"No input moves in one direction for {period:.2g} s, and back, often "
+                       "enough.",
+                       "Record inputs that go slowly up and down again.", {"width": None})
     loops, errors = 2 * found.coefficients["direction"], 2 * found.errors["direction"]
     sizes, doubts = np.linalg.norm(loops, axis=1), np.linalg.norm(errors, axis=1)
     worst = int(np.argmax(sizes - CERTAIN * doubts))
     width, doubt = float(sizes[worst] / recorded.reach), float(doubts[worst] / recorded.reach)
     numbers = {"width": width, "width_error": doubt, "widths_m": sizes.tolist()}
-    said = (f"The way back lies {millimetres(sizes[worst])} beside the way there, {100 * width:.2g} % (± "
+    said = (f"The paths for rising and falling input are {millimetres(sizes[worst])} apart, {100 * width:.2g} % (± "
             f"{100 * doubt:.1g} %) of the reach{'' if lags else '; at one speed, part of it may be a lag'}.")
     if width > max(CERTAIN * doubt, 2 * MATTERS):
-        return Finding(subject, LOOK, said, "No model of the inputs alone explains this: give the model delays, more "
-                       "recordings that visit the same inputs from both sides, or less friction.", numbers)
+        return Finding(subject, LOOK, said, "No model of the inputs alone explains this: give the model delays, record "
+                       "more runs that reach the same inputs from both sides, or reduce the friction.", numbers)
     if CERTAIN * doubt > DOUBTFUL:
         least = f"{100 * CERTAIN * doubt:.2g} %" if CERTAIN * doubt < 1 else "all"
-        return Finding(subject, UNTOLD, f"A loop would be told within ± {least} of the reach only.", UNEXPLAINED,
+        return Finding(subject, UNTOLD, f"A loop smaller than {least} of the reach would not be visible.", UNEXPLAINED,
                        numbers)
     return Finding(subject, GOOD, said, "", numbers)
 
 
 def _one_speed(runs: list[Trajectory]) -> bool:
-    """Whether inputs go to and fro at one speed, so that their speed and their direction are the same signal."""
+    """Whether inputs move up and down at one speed, so that their speed and their direction are the same signal."""
     if not runs:
         return False
     for column in range(runs[0].input.shape[1]):
@@ -159,7 +160,7 @@ def _one_speed(runs: list[Trajectory]) -> bool:
 
 
 def _slow_reversals(run: Trajectory, period: float) -> int:
-    """How often inputs turn after having moved one way for `period` s, with the least of all inputs that move."""
+    """How often an input turns after it moved in one direction for `period` s; the smallest number of all inputs."""
     directions = turned(run.input)[0]
     counts = []
     for column in directions.T:

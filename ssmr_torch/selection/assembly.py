@@ -1,4 +1,4 @@
-"""From centred and scaled tables to a `PolynomialModel` in SI units: states [z, s], a map, linear terms unsaturated."""
+"""Builds a `PolynomialModel` in SI units, with states [z, s], from tables over centred and scaled variables."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from ssmr_torch.selection.charts import Chart
 from ssmr_torch.selection.samples import Samples
 from ssmr_torch.selection.specification import Specification
 
-REACH = 2.0   # of the training range, from which nonlinear terms saturate; they stay below 1.5 times that
-CURVED = 6    # leading coordinates whose products the regressed outputs hold
+REACH = 2.0   # nonlinear terms saturate beyond this many times the training range, and stay below 1.5 times that
+CURVED = 6    # number of leading coordinates whose products are regressors of the outputs
 
 
 class Assembly:
-    """What all models of a specification share: structure, and the linear map from centred tables to those in SI.
+    """The common parts of all models of a specification: structure, and the linear map from centred tables to SI units.
 
     n: slow coordinates; latent_dim: p'; memory: n_s states of past inputs; linear, beyond: monomials of the flow map
     over (z, s̃, ũ), with s̃, ũ centred and scaled.
@@ -40,18 +40,18 @@ class Assembly:
         return _values(self.centred, joint)
 
     def outputs(self, joint: np.ndarray) -> np.ndarray:
-        """The monomials of regressed outputs, of (z, s̃)."""
+        """The monomials of (z, s̃) on which the outputs are regressed."""
         return _values(self.curved, joint)
 
     @property
     def delays(self) -> int:
-        """Samples before the newest that the model's window holds."""
+        """Number of samples before the newest one in the model's window."""
         chosen = self.specification
         return max(chosen.delays, self.samples.past if chosen.pole else int(chosen.memory[1]))
 
     @cached_property
     def uncentred(self) -> tuple[Monomials, np.ndarray]:
-        """Monomials over (z, s, u), and the matrix that takes a table over the centred ones to one over these."""
+        """Monomials over (z, s, u), and the matrix that converts a table over centred monomials to one over these."""
         return uncentred(self.centred, self.n, self._constants(self.samples.input_dim + self.memory),
                           [1.0] * self.memory + self.samples.input_scale.tolist())
 
@@ -64,7 +64,7 @@ class Assembly:
 
     @cached_property
     def memory_rows(self) -> np.ndarray:
-        """Rows of the step of s by column of the uncentred monomials, (n_s, ·): s⁺ = a s + (1 − a) u, or a shift."""
+        """Rows of the dynamics for s over the uncentred monomials, (n_s, ·): s⁺ = a s + (1 − a) u, or a shift."""
         monomials, m, n = self.uncentred[0], self.samples.input_dim, self.n
         place = {factors: k for k, factors in enumerate(monomials.factors)}
         rows = np.zeros((self.memory, len(monomials)))
@@ -87,7 +87,7 @@ class Assembly:
 
     @property
     def regressed(self) -> bool:
-        """Whether the outputs are regressed on the states, or are some of them."""
+        """Whether the outputs are regressed on the states. Otherwise some of the states are the outputs."""
         return self.specification.chart != "delay"
 
     @cached_property
@@ -95,13 +95,13 @@ class Assembly:
         return Monomials(self.n + self.memory, [(k,) for k in range(self.latent_dim)])
 
     def _order(self) -> tuple[int, ...]:
-        """Entries of [window, past inputs] that the chart sees: the newest d + 1 samples, then the past inputs."""
+        """Entries of [window, past inputs] that the chart uses: the newest d + 1 samples, then the past inputs."""
         window, inputs = (self.delays + 1) * self.latent_dim, self.delays * self.samples.input_dim
         first = (self.delays - self.specification.delays) * self.latent_dim
         return (*range(first, window), *range(window, window + inputs))
 
     def chart_table(self, V: np.ndarray) -> np.ndarray:
-        """(n + n_s, 1 + values seen), over [1, ξ / scale, u / input_scale]."""
+        """The chart's table over [1, ξ / scale, u / input_scale], (n + n_s, 1 + number of these values)."""
         chosen, m = self.specification, self.samples.input_dim
         d, D, window = chosen.delays, self.delays, (chosen.delays + 1) * self.latent_dim
         table = np.zeros((self.n + self.memory, 1 + window + D * m))
@@ -113,7 +113,9 @@ class Assembly:
         return table
 
     def model(self, chart: Chart, theta: np.ndarray, psi: np.ndarray | None, largest: np.ndarray) -> PolynomialModel:
-        """theta (k, F), psi (p', ·): solutions over centred monomials; largest: |z| of the training, (n,)."""
+        """The model in SI units. theta (k, F), psi (p', ·): solutions over centred monomials; largest: the largest |z|
+        of the training, (n,).
+        """
         samples, m = self.samples, self.samples.input_dim
         monomials, change = self.uncentred
         slow = chart.E @ theta @ change
@@ -137,12 +139,12 @@ class Assembly:
 
 
 def _values(monomials: Monomials, joint: np.ndarray) -> np.ndarray:
-    """Monomials (R, F) of points (R, variables), as rows, which multiply faster."""
+    """Monomials (R, F) of points (R, variables). They are computed as rows, because rows multiply faster."""
     return monomials.chosen_rows(monomials.rows(np.ascontiguousarray(joint.T))).T
 
 
 def uncentred(centred: Monomials, n: int, constants: list[float], scales: list[float]) -> tuple[Monomials, np.ndarray]:
-    """Of monomials in x̃_j = x_j / scale_j − constant_j for j ≥ n, those in x and the matrix that multiplies out."""
+    """For monomials in x̃_j = x_j / scale_j − constant_j (j ≥ n): the monomials in x, and the matrix between both."""
     columns: dict[tuple, int] = {}
     entries: list[tuple[int, int, float]] = []
     for row, factors in enumerate(centred.factors):

@@ -1,4 +1,4 @@
-"""What is chosen of a baseline: the form of a model of a given kind, as words and numbers."""
+"""`Baseline`: the form of a model of a known kind, as strings and numbers."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ RIDGES = (1e-11, 1e-9, 1e-7, 1e-5, 1e-3)
 class Baseline:
     """One form of a model of a known kind, fitted in closed form.
 
-    kind: a name of conf/model, see `baseline_choice.KINDS`. coordinates: name of output coordinates. delays,
-    input_delays: samples, and inputs between them, that the window holds. states: reduced coordinates, 0 where they
-    follow from the window. smoothed: whether time derivatives are those of a local polynomial (Savitzky-Golay) instead
-    of central differences, of models in continuous time. decays: whether decays take part in the dynamics.
-    ridge: relative to the mean square of each regressor.
+    kind: a name of conf/model, see `baseline_choice.KINDS`. coordinates: name of output coordinates. delays: number of
+    samples before the newest one in a window; input_delays: number of past inputs in it. states: number of reduced
+    coordinates; 0 if it follows from the window. smoothed: for models in continuous time, whether time derivatives come
+    from a local polynomial (Savitzky-Golay) instead of central differences. decays: whether the dynamics are fitted to
+    decays as well. ridge: relative to the mean square of each regressor.
     """
 
     kind: str
@@ -29,7 +29,7 @@ class Baseline:
 
     @property
     def regression(self) -> tuple:
-        """All that the regressors depend on."""
+        """Everything on which the regressors depend."""
         return (self.kind, self.coordinates, self.delays, self.input_delays, self.states, self.smoothed, self.decays)
 
     def __str__(self) -> str:

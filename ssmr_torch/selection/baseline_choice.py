@@ -1,5 +1,6 @@
-"""The best model of a known kind: its coordinates, delays, size, decays and ridge, chosen by the same rule as a
-slow-fast model's form, on the same folds.
+"""Chooses the best model of a known kind: its coordinates, delays, size, ridge, and whether decays are used.
+
+The rule and the folds are the same as for the form of a slow-fast model.
 """
 
 from __future__ import annotations
@@ -20,17 +21,19 @@ from ssmr_torch.selection.trial import FAILED, Outcome, Trial
 
 KINDS = {**dict.fromkeys(LIFTINGS, KoopmanForm), "sssr": SubmanifoldForm, "ssmr": SubmanifoldForm,
          "ssmr_control_augmented": ControlAugmentedForm}
-FIRST_RIDGES = (1e-7, 1e-4)  # with which sizes are compared, before all ridges are tried on the best
-REFINED = 3                  # of the best sizes
+FIRST_RIDGES = (1e-7, 1e-4)  # ridges with which sizes are compared; the best sizes are tried with all ridges
+REFINED = 3                  # number of the best sizes that are tried with all ridges
 SECONDS = 6.0                # CPU time after which no further form of a kind is tried
-SIZING = 0.6                 # the share of it for sizes, the rest is for ridges and decays
-LOOKED_AT = 20               # of the best, for stability
+SIZING = 0.6                 # share of this time for sizes; the rest is for ridges and decays
+LOOKED_AT = 20               # number of the best forms that are checked for stability
 
 
 @dataclass(frozen=True, eq=False)
 class BaselineChoice:
-    """model; baseline: its form, with `outcome` on the folds; tried, refused: forms that were tried, and better ones
-    that diverged; left_out: those that there was no time for; cpu: s.
+    """The chosen model; baseline: its form, with `outcome` on the folds.
+
+    tried: number of forms that were tried; refused: number of better forms that diverged; left_out: number of forms
+    that were not tried because the time was over; cpu: CPU time, s.
     """
 
     model: PolynomialModel
@@ -44,18 +47,18 @@ class BaselineChoice:
     def __str__(self) -> str:
         words = [f"{self.baseline}; best of {self.tried} forms in {self.cpu:.0f} s of CPU time",
                  *([f"{self.refused} better ones diverge"] if self.refused else []),
-                 *([f"{self.left_out} left out, for the time was up"] if self.left_out else [])]
+                 *([f"{self.left_out} not tried because the time was over"] if self.left_out else [])]
         return "; ".join(words)
 
 
 def choose_baseline(trial: Trial, kind: str, *, seconds: float = SECONDS,
                     say: Callable[[str], None] = lambda line: None) -> BaselineChoice:
-    """Choose and fit a model of one of `KINDS` on the runs of a trial; seconds: of CPU time, for what is tried.
+    """Choose and fit a model of one of `KINDS` on the runs of a trial. seconds: CPU time for the forms that are tried.
 
-    Raises ValueError for another kind, and where no form of it stays bounded.
+    Raises ValueError for another kind, and if no form of the kind stays bounded.
     """
     if kind not in KINDS:
-        raise ValueError(f"no baseline {kind!r}; there are {', '.join(KINDS)}")
+        raise ValueError(f"there is no baseline {kind!r}; the baselines are {', '.join(KINDS)}")
     found = _Search(trial)
     decays = bool(trial.samples.decays)
     found.stage((replace(each, ridge=ridge) for each in _forms(trial, kind) for ridge in FIRST_RIDGES),
@@ -73,8 +76,8 @@ def choose_baseline(trial: Trial, kind: str, *, seconds: float = SECONDS,
             return BaselineChoice(model, each, found.outcomes[each], len(found.outcomes), refused, found.left_out,
                                   found.cpu)
         refused += 1
-    raise ValueError(f"none of the {len(found.outcomes)} forms of {kind} that were tried stays within three times the "
-                     "measured range")
+    raise ValueError(f"all {len(found.outcomes)} forms of {kind} that were tried leave three times the measured range "
+                     "in rollouts; record longer runs, or leave this kind out")
 
 
 class _Search:
@@ -91,7 +94,7 @@ class _Search:
         return process_time() - self.began
 
     def stage(self, forms: Iterable[Baseline], seconds: float) -> None:
-        """Try these, until so much CPU time has gone by since the search began."""
+        """Try these forms until this much CPU time, s, has passed since the search began."""
         for each in dict.fromkeys(forms):
             if each in self.outcomes:
                 continue
@@ -101,7 +104,8 @@ class _Search:
             self.outcomes[each] = self._outcome(each)
 
     def closed_form(self, baseline: Baseline):
-        """That of the last one is kept, for forms that differ in ridge alone."""
+        """The closed form of a baseline. The last one is kept, because the next form often differs only in its ridge.
+        """
         if baseline.regression not in self._closed:
             self._closed = {baseline.regression: KINDS[baseline.kind](self.trial.samples, baseline)}
         return self._closed[baseline.regression]
@@ -111,7 +115,7 @@ class _Search:
         try:
             closed = self.closed_form(baseline)
             models = [closed.model(baseline.ridge, fold) for fold in range(FOLDS)]
-            with np.errstate(over="ignore", invalid="ignore"):  # what diverges is judged as such
+            with np.errstate(over="ignore", invalid="ignore"):  # a diverged model gets an infinite score
                 predictions = [trial.predicted(model, starts) for model, starts in zip(models, trial.held_out)]
                 found = trial.judged([*predictions, *(trial.predicted(model, trial.fast) for model in models)])
         except (np.linalg.LinAlgError, ValueError):
@@ -119,13 +123,13 @@ class _Search:
         return replace(found, predictions=[])
 
     def best(self) -> list[Baseline]:
-        """All that were tried and did not diverge, those of the lowest score first."""
+        """All forms that were tried and did not diverge, the lowest score first."""
         return sorted((each for each, found in self.outcomes.items() if np.isfinite(found.score)),
                       key=lambda each: self.outcomes[each].score)
 
 
 def _forms(trial: Trial, kind: str) -> Iterable[Baseline]:
-    """Coordinates, delays and sizes of a kind, small ones first: there may be no time for the last."""
+    """Forms of a kind with all coordinates, delays and sizes. Small ones come first, because the time may run out."""
     names: Sequence[str] = list(trial.samples.coordinates)
     if kind in LIFTINGS:
         yield from (Baseline(kind, name, delays, past) for delays in (1, 2, 4, 8)

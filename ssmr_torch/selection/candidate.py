@@ -1,4 +1,4 @@
-"""The closed form of a specification: charts, regressors and their moments by fold, and models of any ridge."""
+"""Closed-form fit of a specification: charts, regressors and their moments by fold, and models for any ridge."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from ssmr_torch.selection.samples import FOLDS, Samples
 from ssmr_torch.selection.specification import Specification
 
 LINEAR_RIDGE = 1e-9
-ALL = FOLDS  # the place of what is fitted to all folds
+ALL = FOLDS  # index of the model that is fitted to all folds
 
 
 class ClosedForm:
-    """What specifications that differ in ridge alone share; `model(ridge, fold)` gives one of them.
+    """The common parts of specifications that differ only in ridge; `model(ridge, fold)` gives a model.
 
-    samples: the runs; noise: of their measurement, m.
+    samples: the runs; noise: standard deviation of the measurement noise, m.
     Raises ValueError for a specification that the data cannot determine.
     """
 
@@ -39,11 +39,13 @@ class ClosedForm:
         self.rows = samples.rows(1, specification.decays)
         self.touching = samples.touching(self.rows, 1)
         if len(self.rows) < 50:
-            raise ValueError(f"{len(self.rows)} rows with {samples.past} samples before them; record longer runs")
+            raise ValueError(f"only {len(self.rows)} samples have {samples.past} samples before them in their run; "
+                             "record longer runs")
 
     @cached_property
     def charts(self) -> list[Chart]:
-        """One per fold, then that of all rows; where the chart does not depend on them, one and the same."""
+        """One chart per fold, then one for all rows. They are the same object if the chart does not depend on the rows.
+        """
         chosen, samples = self.specification, self.samples
         d, p, m = chosen.delays, self.latent_dim, samples.input_dim
         if chosen.chart == "delay":
@@ -52,11 +54,11 @@ class ClosedForm:
             return [delay_chart(d, directions, m)] * (FOLDS + 1)
         window, newest = slice(1, 1 + (d + 1) * p), slice(1 + d * p, 1 + (d + 1) * p)
         if chosen.states > (d + 1) * p:
-            raise ValueError(f"{chosen.states} states of windows with {(d + 1) * p} values")
+            raise ValueError(f"{chosen.states} states, but a window has only {(d + 1) * p} values")
         if chosen.chart == "tangent_space":
             of_decays = self.rows[samples.is_decay[self.rows]]
             if not len(of_decays):
-                raise ValueError("no decays, whose tangent space is asked for")
+                raise ValueError("the chart tangent_space needs decays, but there are none")
             decays, past = past_of(samples, chosen.coordinates, d, of_decays), self.pasts[0]
             chart = tangent_chart(decays.T @ decays / len(decays), past.T @ past / len(past), window, newest,
                                   chosen.states)
@@ -66,7 +68,7 @@ class ClosedForm:
         X = np.concatenate([past, future_inputs(samples, chosen.future, rows)], axis=1)
         T = predictive_targets(samples, chosen, rows, self.noise)
         if chosen.states > min(T.shape[1], past.shape[1]):
-            raise ValueError(f"{chosen.states} states of {T.shape[1]} values that a chart must tell")
+            raise ValueError(f"{chosen.states} states, but the chart has only {T.shape[1]} values to predict")
         return [predictive_chart(moments, past.shape[1], newest, chosen.states)
                 for moments in by_fold(X, T, samples.touching(rows, chosen.future))]
 
@@ -90,16 +92,16 @@ class ClosedForm:
 
     @cached_property
     def pasts(self) -> list[np.ndarray]:
-        """[1, window, past inputs] of the rows, and of the samples after them."""
+        """[1, window, past inputs] for the rows, and for the samples one step later."""
         chosen = self.specification
         return [past_of(self.samples, chosen.coordinates, chosen.delays, self.rows + k) for k in (0, 1)]
 
     @cached_property
     def moments(self) -> list[tuple[Moments, Moments | None, np.ndarray]]:
-        """Of the flow map and of the outputs, and the largest |z|, by fold and of all."""
+        """Moments of the flow map and of the outputs, and the largest |z|: for each fold, then for all rows."""
         shared = self.charts[0] is self.charts[ALL]
         found = self._moments_of_one_chart() if shared else self._moments_of_each_chart()
-        del self.pasts  # the largest arrays here, and no longer needed
+        del self.pasts  # these are the largest arrays here, and they are no longer needed
         return found
 
     def _moments_of_one_chart(self) -> list[tuple[Moments, Moments | None, np.ndarray]]:
@@ -128,7 +130,7 @@ class ClosedForm:
         return X, T, psi, xi, np.abs(here).max(0)
 
     def model(self, ridge: float, fold: int = ALL) -> PolynomialModel:
-        """The model that is fitted to what a fold leaves, in SI units."""
+        """The model, in SI units, fitted to all rows that the fold does not hold out."""
         chart, assembly = self.charts[fold], self.assembly
         flow, outputs, largest = self.moments[fold]
         penalty = np.full(len(assembly.linear) + len(assembly.beyond), ridge)

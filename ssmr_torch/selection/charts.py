@@ -1,4 +1,4 @@
-"""Slow coordinates z = V [1, window, past inputs] of a slow-fast model, and what of their step is known beforehand."""
+"""Charts of a slow-fast model: slow coordinates z = V [1, window, past inputs], and the known part of their step."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from ssmr_torch.selection.least_squares import Moments
 from ssmr_torch.selection.samples import Samples
 from ssmr_torch.selection.specification import Specification
 
-QUIET = 1e-4      # noise, of the outputs' size, below which the newest sample is a target of the predictive chart
-SPANNED = 0.02    # of the largest singular value: directions of z that span the outputs
+QUIET = 1e-4      # relative noise below which the predictive chart must also predict the newest sample
+SPANNED = 0.02    # relative to the largest singular value: directions of z above it span the outputs
 TINY_RIDGE, OUTPUT_RIDGE = 1e-11, 1e-9
 
 
 @dataclass(frozen=True)
 class Chart:
-    """z = V past,  z⁺ = L z + E (what is fitted),  and ξ = exact · z where the chart holds the outputs themselves.
+    """z = V past,  z⁺ = L z + E (fitted part),  and ξ = exact · z if the outputs are among the coordinates.
 
-    V (n, 1 + (d + 1) p' + d m), over the constant, the window oldest first, and the past inputs oldest first; leading:
-    how many of the first coordinates span the outputs; follows: how many after them are a velocity.
+    V (n, 1 + (d + 1) p' + d m): over the constant, the window and the past inputs, both oldest first. leading: number
+    of first coordinates that span the outputs. follows: number of coordinates after them that are velocities.
     """
 
     V: np.ndarray
@@ -32,7 +32,7 @@ class Chart:
 
 
 def past_of(samples: Samples, name: str, delays: int, at: np.ndarray) -> np.ndarray:
-    """[1, window, past inputs] of samples `at`, scaled, (R, 1 + (d + 1) p' + d m)."""
+    """[1, window, past inputs], scaled, at the samples `at`: (R, 1 + (d + 1) p' + d m)."""
     xi, at = samples.latent(name), at[:, None]
     inputs = (samples.u[at + np.arange(-delays, 0)] - samples.input_mean) / samples.input_scale
     window = xi[at + np.arange(-delays, 1)]
@@ -40,7 +40,9 @@ def past_of(samples: Samples, name: str, delays: int, at: np.ndarray) -> np.ndar
 
 
 def delay_chart(delays: int, directions: np.ndarray, inputs: int) -> Chart:
-    """Newest sample along its principal directions (p', p'), and the differences between samples, newest first."""
+    """Chart of the newest sample along its principal directions (p', p'), and of the differences between samples,
+    newest first.
+    """
     d, p = delays, len(directions)
     n = (d + 1) * p
     differences = np.zeros((d + 1, d + 1))
@@ -60,7 +62,7 @@ def delay_chart(delays: int, directions: np.ndarray, inputs: int) -> Chart:
 
 
 def predictive_targets(samples: Samples, specification: Specification, rows: np.ndarray, noise: float) -> np.ndarray:
-    """What the chart must tell: the scored outputs of the next samples, and of this one where it has no noise."""
+    """Targets of the predictive chart: the scored outputs of the next samples, and of this one if it has no noise."""
     ahead = np.arange(0 if noise < QUIET * samples.scale else 1, specification.future + 1)
     xi = samples.latent(specification.coordinates)[rows[:, None] + ahead]
     columns = samples.targets if xi.shape[-1] == samples.output_dim else slice(None)
@@ -68,16 +70,17 @@ def predictive_targets(samples: Samples, specification: Specification, rows: np.
 
 
 def future_inputs(samples: Samples, future: int, rows: np.ndarray) -> np.ndarray:
-    """Inputs that act meanwhile, scaled, (R, future m)."""
+    """Inputs that act during the next samples, scaled, (R, future m)."""
     held = samples.u[rows[:, None] + np.arange(future)]
     return ((held - samples.input_mean) / samples.input_scale).reshape(len(rows), -1)
 
 
 def predictive_chart(moments: Moments, seen: int, newest: slice, states: int) -> Chart:
-    """From the moments of [past, future inputs] and the targets: what the past explains of them, a projection along the
-    future inputs, has `states` leading directions [subspace identification: Van Overschee and De Moor 1994].
+    """Chart from the moments of [past, future inputs] and the targets.
 
-    seen: columns of past; newest: those of the newest sample.
+    The part of the targets that the past explains, a projection along the future inputs, has `states` leading
+    directions [subspace identification: Van Overschee and De Moor 1994].
+    seen: number of columns of past; newest: the columns of the newest sample.
     """
     explained = moments.solution(TINY_RIDGE)[:, :seen]
     past = moments.regressors[:seen, :seen]
@@ -86,19 +89,22 @@ def predictive_chart(moments: Moments, seen: int, newest: slice, states: int) ->
 
 
 def tangent_chart(decays: np.ndarray, past: np.ndarray, window: slice, newest: slice, states: int) -> Chart:
-    """The leading directions of the decays' windows; decays, past: mean squares of [1, window, past inputs]."""
+    """Chart of the leading directions of the decays' windows. decays, past: second moments of [1, window, past inputs].
+    """
     V = np.zeros((states, len(past)))
     V[:, window] = leading_directions(decays[window, window], states)
     return _turned(V, past, newest)
 
 
 def leading_directions(matrix: np.ndarray, count: int) -> np.ndarray:
-    """Rows: eigenvectors of a symmetric matrix, those of the largest values first."""
+    """Eigenvectors of a symmetric matrix as rows, the largest eigenvalues first."""
     return np.linalg.eigh(0.5 * (matrix + matrix.T))[1][:, ::-1][:, :count].T
 
 
 def _turned(V: np.ndarray, past: np.ndarray, newest: slice) -> Chart:
-    """z turned so that its first coordinates are the leading directions of the outputs, and of variance one."""
+    """Chart with z transformed so that its first coordinates are the leading directions of the outputs, and all have
+    variance 1.
+    """
     n = len(V)
     spread = V @ past @ V.T
     root = np.linalg.cholesky(spread + 1e-12 * np.trace(spread) / n * np.eye(n)).T

@@ -1,4 +1,4 @@
-"""One model chosen from the data: output coordinates, slow coordinates, features, memory, ridge, refinement, team."""
+"""`choose`: chooses the form of a slow-fast model from training runs and fits it (`model=auto`)."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from ssmr_torch.selection.team import averaged, choose_team, merged, stable_pool
 from ssmr_torch.selection.trial import Outcome, Trial
 from ssmr_torch.turns import Turn
 
-POOL = 12      # of the best stable specifications, from which a team is chosen
-RECONSIDERED = 40  # of the best, judged once more by all starts and more rows
-SCOUTING = 0.6     # of the CPU time, for trying them out
-ROUND_TRIP = 1e-6  # of the outputs' size, by which χ⁻¹(χ(y)) may miss y
+POOL = 12          # number of the best stable specifications, from which a team is chosen
+RECONSIDERED = 40  # number of the best specifications that are scored again with all starts and more rows
+SCOUTING = 0.6     # share of the CPU time for the first scores of all specifications
+ROUND_TRIP = 1e-6  # relative to the outputs' size: largest permitted error of χ⁻¹(χ(y)) = y
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """model; team: its members' specifications, best first; outcome: of the team.
+    """The chosen model. team: specifications of its members, best first. outcome: outcome of the team.
 
-    sentences: what was chosen, by which numbers, and what the data did not allow to decide. facts: the same as plain
+    sentences: what was chosen, the numbers behind it, and what the data could not decide. facts: the same as plain
     values.
     """
 
@@ -47,11 +47,11 @@ class Choice:
 def choose(decays: Sequence, controlled: Sequence, timestep: float, settings: SelectionSettings | None = None, *,
            scored: Sequence[int] | None = None, input_names: Sequence[str] | None = None,
            say: Callable[[str], None] = lambda line: None) -> Choice:
-    """Choose and fit a model from training runs alone, lists of (y (T, p) m, u (T, m)), sampled every `timestep` s.
+    """Choose and fit a model from training runs only: lists of (y (T, p) m, u (T, m)), sampled every `timestep` s.
 
-    scored: columns of y that are to be predicted best; None: all. input_names: of the columns of u, by which a stated
-    symmetry names them; None: "1", "2", … say: is told of every stage.
-    Raises ValueError where the runs are too short, or nothing that was tried stays bounded.
+    scored: the columns of y that matter; None: all. input_names: names of the columns of u, which a stated symmetry
+    uses; None: "1", "2", … say: function that receives a line at every stage.
+    Raises ValueError if the runs are too short, or if no model that was tried stays bounded.
     """
     settings = SelectionSettings() if settings is None else settings
     y = np.concatenate([run[0] for run in (*decays, *controlled)])
@@ -73,9 +73,9 @@ def choose(decays: Sequence, controlled: Sequence, timestep: float, settings: Se
     trial = symmetric.trial
     pool, refused = stable_pool(trial, trial.best(), POOL)
     if not pool:
-        raise ValueError(f"none of the {len(scout.outcomes)} models that were tried stays within three times the "
-                         f"measured range ({len(refused)} looked at); record longer runs, more slowly or less far, "
-                         "and look at ssmr check")
+        raise ValueError(f"no stable model was found: {len(scout.outcomes)} forms were tried, the best {len(refused)} "
+                         "were checked, and all leave three times the measured range. Record longer runs with slower "
+                         "or smaller inputs, and run ssmr check")
     if settings.refine:
         pool = refined(trial, pool, say=say)
     team = choose_team(trial, pool, 1 if settings.purpose == "control" else settings.team)
@@ -90,7 +90,7 @@ def choose(decays: Sequence, controlled: Sequence, timestep: float, settings: Se
 
 
 def _coordinates(y: np.ndarray, names: Sequence[str] | None) -> dict[str, OutputCoordinates | None]:
-    """Output coordinates by name. Raises ValueError for one that the data do not suggest, or that has no inverse."""
+    """Output coordinates by name. Raises ValueError for coordinates that do not suit the data, or have no inverse."""
     suggested = offered(y)
     if names is None:
         return suggested
@@ -101,15 +101,15 @@ def _coordinates(y: np.ndarray, names: Sequence[str] | None) -> dict[str, Output
         elif ":" in name:
             chosen[name] = _own(name, y)
         else:
-            raise ValueError(f"output coordinates {name!r}: the data suggest {list(suggested)}; give one of them, or "
-                             '"module:Class" of your own')
+            raise ValueError(f"output coordinates {name!r} are not possible with these data; give one of "
+                             f'{list(suggested)}, or your own class as "module:Class"')
     return chosen
 
 
 def _own(name: str, y: np.ndarray) -> OutputCoordinates:
     family = found(name)
     if not (isinstance(family, type) and issubclass(family, OutputCoordinates)):
-        raise ValueError(f"{name} is no class of output coordinates; derive it from "
+        raise ValueError(f"{name} is not a class of output coordinates; derive it from "
                          "ssmr_torch.models.output_coordinates.OutputCoordinates")
     chi = family()
     with np.errstate(all="ignore"):
@@ -117,9 +117,9 @@ def _own(name: str, y: np.ndarray) -> OutputCoordinates:
         missed = np.abs(back - y).max() if back.shape == y.shape else np.inf
     size = np.abs(y).max()
     if not missed <= ROUND_TRIP * size:
-        raise ValueError(f"{name} is not invertible on the recordings: χ⁻¹(χ(y)) misses y by up to {1e3 * missed:.3g} "
-                         f"mm, more than {ROUND_TRIP:g} of their {1e3 * size:.3g} mm; correct inverse, or choose "
-                         "coordinates that are one to one over the whole range")
+        raise ValueError(f"{name} is not invertible on the recordings: χ⁻¹(χ(y)) differs from y by up to "
+                         f"{1e3 * missed:.3g} mm, more than {ROUND_TRIP:g} times their size of {1e3 * size:.3g} mm; "
+                         "correct the method inverse, or choose coordinates that are one-to-one over the whole range")
     if not np.allclose(chi.forward(np.zeros((1, y.shape[1]))), 0.0, atol=ROUND_TRIP * size):
-        raise ValueError(f"{name} does not map rest to rest, χ(0) ≠ 0; subtract χ(0)")
+        raise ValueError(f"{name} must map rest to zero, but χ(0) ≠ 0; subtract χ(0) in its method forward")
     return chi

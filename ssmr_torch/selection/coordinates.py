@@ -1,4 +1,4 @@
-"""Output coordinates that the data suggest: constant-curvature arcs from bases inferred out of displacements alone."""
+"""Output coordinates that suit the data: constant-curvature arcs, whose bases are estimated from displacements only."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ import numpy as np
 
 from ssmr_torch.models.output_coordinates import ConstantCurvature, OutputCoordinates
 
-ROWS = 800            # samples of which a base is inferred
-STEADIER = 0.6        # largest spread of the arc length, of the spread of the axial displacement
-FARTHEST = 30.0       # of the largest displacement that a base may be away
-FAR = 100.0            # of the largest displacement: the base of a marker without one of its own
+ROWS = 800             # number of samples from which a base is estimated
+STEADIER = 0.6         # largest spread of the arc length, relative to the spread of the axial displacement
+FARTHEST = 30.0        # largest distance of a base, relative to the largest displacement
+FAR = 100.0            # distance of the base of a marker without an estimated one, relative to the largest displacement
 DISTANCES = (1.5, 3.0, 8.0)
-STRAIGHT = 3.1        # rad; an arc beyond has no length
+STRAIGHT = 3.1        # rad; an arc that bends more has no length
 
 
 def offered(y: np.ndarray) -> dict[str, OutputCoordinates | None]:
-    """Coordinates by name for displacements y (S, p): the identity, None, and constant-curvature arcs where the columns
-    are markers of 3 (or 2) coordinates and the base of the one that moves most is plausible. A marker whose own is not
-    gets a base far away along the same axis, which leaves it nearly as it is.
+    """Coordinates by name for displacements y (S, p): the identity (None), and constant-curvature arcs.
+
+    Arcs need columns that are markers of 3 (or 2) coordinates, and a plausible base of the marker that moves most. A
+    marker without a plausible base gets one far away along the same axis, which hardly changes its coordinates.
     """
     found: dict[str, OutputCoordinates | None] = {"identity": None}
     size = 3 if y.shape[1] % 3 == 0 else 2 if y.shape[1] % 2 == 0 else 0
@@ -36,9 +37,10 @@ def offered(y: np.ndarray) -> dict[str, OutputCoordinates | None]:
 
 
 def inferred_base(y: np.ndarray) -> tuple[float, ...] | None:
-    """Vector c from base to marker at rest that leaves the arc length ‖c + y‖ a / sin a most constant, y (S, q) in m.
+    """Vector c from the base to the marker at rest for which the arc length ‖c + y‖ a / sin a varies least; y (S, q),
+    m.
 
-    None where the arc length varies hardly less than the displacement along c, or the base is far away.
+    None if the arc length varies almost as much as the displacement along c, or if the base is far away.
     """
     from scipy.optimize import least_squares
 
@@ -64,7 +66,7 @@ def inferred_base(y: np.ndarray) -> tuple[float, ...] | None:
 
 
 def arc_length(P: np.ndarray, c: Sequence[float]) -> np.ndarray:
-    """Length of the arc from a base along c to P, both from the base, (S, q) → (S,)."""
+    """Length of the arc that starts at the base along c and ends at P (relative to the base): (S, q) → (S,)."""
     e = np.asarray(c) / np.linalg.norm(c)
     along = P @ e
     lateral = np.linalg.norm(P - along[:, None] * e, axis=1)

@@ -1,5 +1,6 @@
-"""The monomials of a slow-fast flow map: coefficients that depend on the configuration, and a velocity that enters
-linearly, as in a semi-implicit step of the mechanics.
+"""Monomials of the flow map of a slow-fast model.
+
+The coefficients depend on the configuration, and the velocity enters linearly, as in a semi-implicit step of mechanics.
 """
 
 from __future__ import annotations
@@ -7,17 +8,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import combinations_with_replacement
 
-LARGEST = 700  # monomials of a map; a regression of more takes seconds, and no five minutes of recordings determine it
+LARGEST = 700  # monomials of a map; with more, a regression takes seconds, and five minutes of data do not determine it
 
 Factors = tuple[int, ...]
 
 
 def flow_monomials(kind: str, *, slow: int, leading: int, follows: int, memory: int, inputs: int,
                    pole: bool) -> tuple[list[Factors], list[Factors]]:
-    """Linear monomials, the constant first, and those beyond, over (z, s, u): slow coordinates, memory, inputs.
+    """Linear monomials, the constant first, and nonlinear monomials over (z, s, u): slow coordinates, memory, inputs.
 
-    slow: n; leading: how many of the first z are q, which span the outputs; follows: how many of those after q may
-    multiply q, the velocity; pole: the memory s acts in place of u, so that products are with s.
+    slow: n. leading: number of first coordinates q of z, which span the outputs. follows: number of coordinates after
+    q, the velocity, which may multiply q. pole: the memory s acts in place of u, so that products contain s.
     Raises ValueError for more than `LARGEST` monomials.
     """
     z = list(range(slow))
@@ -26,7 +27,7 @@ def flow_monomials(kind: str, *, slow: int, leading: int, follows: int, memory: 
     linear = [(), *((k,) for k in (*z, *u, *s))]
     beyond = list(dict.fromkeys(tuple(sorted(row)) for row in _beyond(kind, z, q, rest, s if pole else u)))
     if len(linear) + len(beyond) > LARGEST:
-        raise ValueError(f"{len(linear) + len(beyond)} monomials of a {kind} flow map; {LARGEST} at most")
+        raise ValueError(f"{len(linear) + len(beyond)} monomials in a {kind} flow map; at most {LARGEST} are possible")
     return linear, beyond
 
 
@@ -50,5 +51,5 @@ def _beyond(kind: str, z: list[int], q: list[int], rest: list[int], acting: list
         yield from pairs(q, 3)
     if kind == "full_quadratic":
         yield from pairs(z + acting)
-    if kind == "quadratic_map":  # EDMD of degree two, whose window is lifted anew at every step
+    if kind == "quadratic_map":  # EDMD of degree 2 with re-lifting at every step
         yield from pairs(z)

@@ -1,9 +1,10 @@
-"""The fast fibre: what leaves the slow manifold and only decays, as further states that nothing drives.
+"""The fast state (fast fibre) of a slow-fast model: the deviation from the slow manifold, which only decays.
 
     f_0 = K [1, window, past inputs],   f⁺ = Λ f with |eig Λ| ≤ 0.9,   ξ = slow model + C f
 
-found from what the slow model's rollouts leave in their first samples, by the eigensystem realization algorithm [Juang
-and Pappa 1985]. It cannot destabilize anything; for a controller it is a known offset of the outputs.
+K, Λ and C are identified from the residuals of the slow model's rollouts in their first samples, by the eigensystem
+realization algorithm [Juang and Pappa 1985]. No input drives the fast state, so it cannot make the model unstable. For
+a controller it is a known offset of the outputs.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ from ssmr_torch.selection.least_squares import Moments
 from ssmr_torch.selection.samples import FOLDS, Samples
 from ssmr_torch.selection.windows import longer_window
 
-AHEAD, WINDOW = 12, 10    # samples that are explained, and of the past that explain them
-SLOWEST = 0.9             # modulus of the eigenvalues, a step
+AHEAD, WINDOW = 12, 10    # number of residual samples that are explained; number of past samples that explain them
+SLOWEST = 0.9             # largest modulus of the eigenvalues, per step
 RIDGE = 1e-7
 
 
 def with_fibre(model: PolynomialModel, samples: Samples, states: int, fold: int = FOLDS) -> PolynomialModel:
-    """The model with so many states of a fast fibre, or as many as the residuals determine, from what a fold leaves.
+    """The model with this number of fast states, or fewer if the residuals determine fewer.
 
-    Raises LinAlgError or ValueError where there is nothing to find.
+    fold: the rows that it holds out are not used. Raises LinAlgError or ValueError if the residuals determine none.
     """
     rows = samples.rows(AHEAD, decays=False)
     if fold < FOLDS:
@@ -64,7 +65,7 @@ def _realized(X: np.ndarray, left: np.ndarray, states: int) -> tuple[np.ndarray,
 
 
 def _decaying(A: np.ndarray) -> np.ndarray:
-    """The matrix with eigenvalues beyond `SLOWEST` moved onto that circle."""
+    """The matrix with every eigenvalue of modulus above `SLOWEST` moved onto that circle."""
     values, vectors = np.linalg.eig(A)
     size = np.abs(values)
     values = np.where(size > SLOWEST, values / np.maximum(size, 1e-300) * SLOWEST, values)
@@ -73,7 +74,7 @@ def _decaying(A: np.ndarray) -> np.ndarray:
 
 def _joined(model: PolynomialModel, A: np.ndarray, C: np.ndarray, K: np.ndarray,
             largest: np.ndarray) -> PolynomialModel:
-    """The model with the states f at its end."""
+    """The model with the fast states f appended to its state."""
     n, f, m, structure = model.state_dim, len(A), model.input_dim, model.structure
     moved = [tuple(k if k < n else k + f for k in row) for row in structure.dynamics.factors]
     fast = [(n + k,) for k in range(f)]

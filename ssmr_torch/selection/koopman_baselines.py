@@ -1,4 +1,4 @@
-"""Koopman models in closed form over the folds: one ridge regression of what the next window adds."""
+"""Closed-form fits of Koopman models for all folds: one ridge regression of the new entries of the next window."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ssmr_torch.selection.samples import FOLDS, Samples
 
 
 class Lifting(NamedTuple):
-    """What tells the kinds apart, see `models.koopman.Koopman`."""
+    """Options in which the kinds of Koopman models differ, see `models.koopman.Koopman`."""
 
     degree: int = 1
     bilinear: bool = False
@@ -30,10 +30,10 @@ LIFTINGS = {"dmd": Lifting(), "edmd": Lifting(2), "edmd_relift": Lifting(2, reli
 
 
 class KoopmanForm:
-    """z = ψ(ζ / scale),  z⁺ = A z + B u + Σ_j u_j N_j z, of windows in output coordinates; `model(ridge, fold)`.
+    """z = ψ(ζ / scale),  z⁺ = A z + B u + Σ_j u_j N_j z, for windows in output coordinates; see `model(ridge, fold)`.
 
-    What is known of z⁺ is set and not regressed: the constant, and the delayed samples and inputs within ζ.
-    Raises ValueError where the lifting has more monomials than a regression can take, or the data too few rows.
+    Known rows of z⁺ are set without regression: the constant, and the delayed samples and inputs in ζ.
+    Raises ValueError if the lifting has too many monomials for a regression, or if the data have too few rows.
     """
 
     def __init__(self, samples: Samples, baseline: Baseline):
@@ -44,7 +44,7 @@ class KoopmanForm:
         window = (baseline.delays + 1) * latent + baseline.input_delays * m
         size = 1 + window + (window * (window + 1) // 2 if degree > 1 else 0)
         if size * (1 + m * bilinear) > LARGEST:
-            raise ValueError(f"{size * (1 + m * bilinear)} regressors of {baseline}; {LARGEST} at most")
+            raise ValueError(f"{size * (1 + m * bilinear)} regressors for {baseline}; at most {LARGEST} are possible")
         structure = koopman_structure(m, latent, baseline.delays, input_delays=baseline.input_delays, degree=degree,
                                       constant=constant, bilinear=bilinear, relift=relift)
         n, self.first = len(structure.chart), int(constant)
@@ -69,7 +69,7 @@ class KoopmanForm:
 
     @cached_property
     def moments(self) -> tuple[list[Moments], np.ndarray]:
-        """Of the rows of z⁺ that are not known, by fold and of all; and the largest |z|."""
+        """Moments of the unknown rows of z⁺, for each fold and for all rows; and the largest |z|."""
         model, lift = self.scaled, self.blank.structure.chart
         here, ahead = lift(self._observables(model, 0)), self._observables(model, 1)
         X = model.dynamics_regressors(here, self.samples.u[self.rows])
@@ -78,7 +78,7 @@ class KoopmanForm:
 
     @cached_property
     def _shift(self) -> int:
-        """Rows of the dynamics before the newest sample."""
+        """Number of rows of the dynamics before the newest sample."""
         return 0 if self.lifting.relift else self.first
 
     @cached_property
@@ -89,14 +89,14 @@ class KoopmanForm:
         return np.flatnonzero(newest | (rows >= self._shift + self.blank.structure.chart.variables))
 
     def model(self, ridge: float, fold: int = FOLDS) -> PolynomialModel:
-        """The model that is fitted to what a fold leaves, of all by default, in SI units."""
+        """The model, in SI units, fitted to the rows that the fold does not hold out; by default to all rows."""
         moments, largest = self.moments
         dynamics = self._known()
         dynamics[self.unknown] = moments[fold].solution(ridge)
         return replace(self.scaled, dynamics=dynamics, state_scale=largest)
 
     def _known(self) -> np.ndarray:
-        """The table with the rows that need no data: 1⁺ = 1, and what is delayed once more."""
+        """The table with the rows that need no data: 1⁺ = 1, and the delayed samples and inputs."""
         model = self.scaled
         latent, m, scale = model.latent_dim, model.input_dim, model.window_scale
         table, outputs = np.zeros(model.dynamics.shape), (model.delays + 1) * latent

@@ -1,7 +1,7 @@
-"""SSMR, SSSR and the control-augmented SSMR in closed form over the folds: a chart, then one regression of the rates.
+"""Closed-form fits of SSMR, SSSR and the control-augmented SSMR for all folds: a chart, then one regression.
 
-The chart and the parametrization are found from decays, which no fold holds out, or, of the control-augmented one, from
-all rows: what the folds tell apart is the dynamics.
+The chart and the parametrization are computed from decays, which no fold holds out. For the control-augmented model
+they are computed from all rows. The folds therefore differ only in the dynamics.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from ssmr_torch.selection.least_squares import Moments, by_fold
 from ssmr_torch.selection.samples import FOLDS, Samples
 
 DEGREES = {"ssmr": 2, "sssr": 1}
-FUTURE = 10           # samples whose outputs the control-augmented chart must tell
+FUTURE = 10           # number of samples that the control-augmented chart must predict
 MANIFOLD_RIDGE = 1e-9
 
 
 class ManifoldForm:
-    """What both kinds share: scaled windows of the samples, and models of any ridge and fold.
+    """Base class of both kinds: scaled windows of the samples, and models for any ridge and fold.
 
-    Raises ValueError where the window holds fewer values than states.
+    Raises ValueError if the window holds fewer values than states.
     """
 
     ahead = 1
@@ -37,7 +37,7 @@ class ManifoldForm:
         self.latent = samples.latent(baseline.coordinates)
         self.seen = (baseline.delays + 1) * self.latent.shape[1] + baseline.input_delays * samples.input_dim
         if self.seen < baseline.states:
-            raise ValueError(f"{baseline.states} states of windows with {self.seen} values")
+            raise ValueError(f"{baseline.states} states, but a window has only {self.seen} values")
         self.rows = samples.rows(self.ahead, baseline.decays)
 
     def windows(self, at: np.ndarray) -> np.ndarray:
@@ -45,7 +45,7 @@ class ManifoldForm:
         return self.latent[at[:, None] + np.arange(-self.baseline.delays, 1)].reshape(len(at), -1)
 
     def model(self, ridge: float, fold: int = FOLDS) -> PolynomialModel:
-        """The model that is fitted to what a fold leaves, of all by default, in SI units."""
+        """The model, in SI units, fitted to the rows that the fold does not hold out; by default to all rows."""
         moments, largest = self.moments
         baseline, samples = self.baseline, self.samples
         return PolynomialModel(
@@ -58,7 +58,7 @@ class ManifoldForm:
 class SubmanifoldForm(ManifoldForm):
     """z = Vᵀ ŷ,  ŷ = V z + W z^{2:n_w},  dz/dt = R z^{1:n_r} + (B + z ⊗ B_r) u;  V: leading directions of the decays.
 
-    The rates are central differences, or those of a local polynomial, with the mean input that these have felt.
+    The rates are central differences or derivatives of a local polynomial. The input is its mean over their samples.
     """
 
     further = {"substeps": 2}
@@ -91,7 +91,7 @@ class SubmanifoldForm(ManifoldForm):
 
     @cached_property
     def moments(self) -> tuple[list[Moments], np.ndarray]:
-        """Of the rates on their monomials, by fold and of all; and the largest |z|."""
+        """Moments of the monomials and the rates, for each fold and for all rows; and the largest |z|."""
         samples, width = self.samples, self.stencil.half_width
         around = range(-width, width + 1)
         z = np.stack([self.windows(self.rows + shift) @ self.chart.T for shift in around])
@@ -102,8 +102,9 @@ class SubmanifoldForm(ManifoldForm):
 
 
 class ControlAugmentedForm(ManifoldForm):
-    """z = V [ŷ, û],  y = W z,  z⁺ = z + h R (z, u)^{1:2}, at most linear in u;  V: what of the past says most of the
-    next samples, a projection along the inputs that act meanwhile.
+    """z = V [ŷ, û],  y = W z,  z⁺ = z + h R (z, u)^{1:2}, at most linear in u.
+
+    V: the directions of the past that explain most of the next samples, a projection along the inputs between them.
     """
 
     further: dict = {}
@@ -139,7 +140,7 @@ class ControlAugmentedForm(ManifoldForm):
 
     @cached_property
     def moments(self) -> tuple[list[Moments], np.ndarray]:
-        """Of the steps on their monomials, by fold and of all; and the largest |z|."""
+        """Moments of the monomials and the steps, for each fold and for all rows; and the largest |z|."""
         samples = self.samples
         here, ahead = (self._past(self.rows + shift) @ self.chart.T for shift in (0, 1))
         X = self.structure.dynamics(np.concatenate([here, samples.u[self.rows]], axis=1))

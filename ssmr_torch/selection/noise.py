@@ -1,4 +1,4 @@
-"""The noise of the measurement: how large it is in the recordings, and a chart for windows that have more of it."""
+"""Measurement noise: its estimate from recordings, and a chart for windows with more noise than in the recordings."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from ssmr_torch.selection.least_squares import Moments
 from ssmr_torch.selection.samples import Samples
 from ssmr_torch.selection.windows import longer_window
 
-STRETCH = 25        # samples at least in which the noise is looked for, where the robot moves least
-STRETCHES = 8       # of a run at most: the quietest of many short ones is quieter than the noise, by chance
+STRETCH = 25        # smallest number of samples in a piece of a run, in which the noise is estimated
+STRETCHES = 8       # largest number of pieces of a run; with many short pieces, the quietest underestimates the noise
 RIDGE = 1e-10
 
 
 def measured_noise(runs: Sequence[np.ndarray]) -> float:
-    """Standard deviation of white noise in outputs y (T, p), m: from third differences, where the robot moves least.
+    """Standard deviation, m, of white noise in outputs y (T, p), from third differences where the robot moves least.
 
     The third difference of white noise has twenty times its variance; that of a slow motion is small.
     """
@@ -33,9 +33,9 @@ def measured_noise(runs: Sequence[np.ndarray]) -> float:
 
 
 def recharted(model: PolynomialModel, samples: Samples, noise: float, recorded: float = 0.0) -> PolynomialModel:
-    """The same dynamics, with the states regressed anew on [1, window, past inputs] of windows with `noise`, m.
+    """The same dynamics with a new chart: its states are regressed on [1, window, past inputs] with `noise`, m.
 
-    The window becomes the longest that the samples hold. recorded: noise that the recordings themselves have, m.
+    The window becomes the longest one that the samples hold. recorded: noise of the recordings themselves, m.
     """
     past, latent = samples.past, model.latent_dim
     rows = samples.rows(0, decays=True)

@@ -1,4 +1,7 @@
-"""Gauss-Newton steps on rollouts over the flow map's coefficients, where the window lacks hidden modes."""
+"""Refinement of the coefficients of the flow map by Gauss-Newton steps on the rollout error.
+
+It helps if a window does not show all modes of the robot.
+"""
 
 from __future__ import annotations
 
@@ -12,17 +15,17 @@ from ssmr_torch.models.monomials import Form
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.selection.samples import Starts
 
-STEPS = (0.01, 0.02, 0.03, 0.05, 0.08, 0.13, 0.2, 0.35, 0.6, 1.0)  # of the horizon, at which errors count
-ROUNDS, ENOUGH = 3, 3e-3      # Gauss-Newton steps, and the relative gain below which no further one is taken
-CLIP = 10.0                   # times its starting error, beyond which a sample says nothing of where to go
-BLOCK = 50                    # starts whose sensitivities are held at once
-LARGEST = 3e9                 # multiplications of a round: a few seconds
-PULLS = (1e-4,)         # towards the closed form that are tried
+STEPS = (0.01, 0.02, 0.03, 0.05, 0.08, 0.13, 0.2, 0.35, 0.6, 1.0)  # shares of the horizon at which errors count
+ROUNDS, ENOUGH = 3, 3e-3      # number of Gauss-Newton steps; relative gain below which no further step is taken
+CLIP = 10.0                   # relative to its error at first: a sample with a larger error has no gradient
+BLOCK = 50                    # number of starts whose sensitivities are in memory at once
+LARGEST = 3e9                 # multiplications of a round; they take a few seconds
+PULLS = (1e-4,)               # strengths of the pull towards the closed-form fit that are tried
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What is refined: dynamics[:n] + E ΔΘ of a model, from starts; targets: columns of y that count."""
+    """A refinement: dynamics[:n] + E ΔΘ of a model, for rollouts from starts. targets: the columns of y that count."""
 
     model: PolynomialModel
     E: np.ndarray
@@ -37,7 +40,7 @@ class Problem:
 
     @property
     def work(self) -> float:
-        """Multiplications of one round."""
+        """Number of multiplications in one round."""
         n, k = self.E.shape
         unknown = k * len(self.model.structure.dynamics)
         N, H, _ = self.starts.inputs.shape
@@ -50,7 +53,7 @@ class Problem:
         return replace(self.model, dynamics=dynamics)
 
     def begin(self, model: PolynomialModel) -> tuple[np.ndarray, np.ndarray]:
-        """First states, and the targets at the steps that count."""
+        """Initial states, and the targets at the steps that count."""
         starts, D = self.starts, model.delays
         z = model.encode(starts.window[:, starts.window.shape[1] - D - 1:], starts.past[:, starts.past.shape[1] - D:])
         return z, starts.follows[:, [step - 1 for step in self.steps]][..., list(self.targets)]
@@ -68,7 +71,7 @@ def refine(problem: Problem, pull: float) -> PolynomialModel:
 
         mean over starts and steps k of min(‖ŷ_k − y_k‖² / σ_k², C²) + pull ‖ΔΘ‖²_D
 
-    with σ_k the error k steps ahead of the model it starts from, and D the diagonal of the first JᵀJ.
+    with σ_k the error k steps ahead of the first model, and D the diagonal of the first JᵀJ.
     """
     unknown = problem.E.shape[1] * len(problem.model.structure.dynamics)
     theta, damping = np.zeros(unknown), 1e-2
@@ -116,7 +119,7 @@ def _cost(errors: np.ndarray, weights: np.ndarray) -> float:
 
 def _normal_equations(problem: Problem, model: PolynomialModel,
                       weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """JᵀJ and Jᵀr over starts and steps, by sensitivities carried along, Z⁺ = ∂z⁺/∂z Z + E ⊗ φ."""
+    """JᵀJ and Jᵀr over starts and steps, by forward sensitivities, Z⁺ = ∂z⁺/∂z Z + E ⊗ φ."""
     n, k = problem.E.shape
     size = k * len(model.structure.dynamics)
     normal, gradient = np.zeros((size, size), np.float32), np.zeros(size)
@@ -134,7 +137,7 @@ def _normal_equations(problem: Problem, model: PolynomialModel,
 
 def _sensitivities(problem: Problem, model: PolynomialModel, states: np.ndarray, inputs: np.ndarray,
                    measured: np.ndarray, weights: np.ndarray):
-    """Weighted rows of J and r, one step that counts after the other."""
+    """Weighted rows of J and r, one counting step after the other."""
     n, k = problem.E.shape
     E, size, targets = problem.E.astype(np.float32), len(model.structure.dynamics), list(problem.targets)
     slow = _slow_step(model, n)
@@ -154,7 +157,8 @@ def _sensitivities(problem: Problem, model: PolynomialModel, states: np.ndarray,
 
 
 def _slow_step(model: PolynomialModel, n: int):
-    """∂z⁺/∂z (N, n, n) of the slow coordinates, and the regressors (N, F), as a function of the states and inputs."""
+    """A function of states and inputs that returns ∂z⁺/∂z (N, n, n) of the slow coordinates, and the regressors (N, F).
+    """
     structure, linear = model.structure, model.linear_part[:n, :n]
     form = Form(structure.dynamics, model.dynamics[:n])
 
@@ -169,7 +173,7 @@ def _slow_step(model: PolynomialModel, n: int):
 
 
 def refined(trial, pool: Sequence, count: int = 2, say: Callable[[str], None] = lambda line: None) -> list:
-    """The pool, best first, with the refined forms of its first `count` members that are small enough."""
+    """The pool, best first, extended by refined forms of its first `count` members that are small enough."""
     found, tried = list(pool), 0
     for each in pool:
         if tried == count:

@@ -1,4 +1,4 @@
-"""Rollouts from starts of the samples."""
+"""Rollouts of a model from the starts of a selection."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from ssmr_torch.models.batch_rollout import BatchRollout, batch_of
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.selection.samples import Starts
 
-DENSE = 64  # states of a linear map from which products of whole matrices are faster than the compiled kernel
+DENSE = 64  # for linear maps with more states, products of whole matrices are faster than the compiled kernel
 
 
 def rolled_out(model: PolynomialModel, starts: Starts) -> np.ndarray:
-    """Outputs along the horizon, m, (N, H, p), infinite from where a rollout diverged."""
+    """Outputs along the horizon (N, H, p), m; infinite from the step at which a rollout diverged."""
     delays = model.delays
     window = starts.window[:, starts.window.shape[1] - delays - 1:]
     past = starts.past[:, starts.past.shape[1] - delays:]

@@ -1,4 +1,4 @@
-"""The training runs in the shape that a selection needs: scaled, in pieces dealt into folds, with starts to score."""
+"""Training runs prepared for a selection: scaled, cut into pieces, distributed over folds, with starts for scores."""
 
 from __future__ import annotations
 
@@ -11,20 +11,22 @@ from ssmr_torch.models.output_coordinates import OutputCoordinates
 from ssmr_torch.turns import Turn
 
 FOLDS = 4
-PIECE = 3.0            # s, of a piece that one fold holds out
+PIECE = 3.0            # length in s of a piece that one fold holds out
 HORIZONS = (0.05, 0.2, 1.0)
-PAST = 20              # samples before a start that any candidate may look at
+PAST = 20              # number of samples before a start that a candidate may use
 STARTS, FAST_STARTS = 120, 80
-SCOUTED = 4000         # rows of controlled runs, and 60 % of the starts, while most specifications are tried
-FITTED = 150           # starts of rollouts that a model is fitted to
-MOST = 6000            # rows of controlled runs while specifications are compared
-LEAST = 2000           # rows of decays that are kept however few the controlled ones are
-STRONGER = 1.25        # inputs beyond the recorded ones, under which the fits are compared
+SCOUTED = 4000         # rows of controlled runs (and 60 % of the starts) for the first scores of all specifications
+FITTED = 150           # number of starts of the rollouts in a refinement
+MOST = 6000            # rows of controlled runs for the comparison of the best specifications
+LEAST = 2000           # rows of decays that are kept even if there are few controlled rows
+STRONGER = 1.25        # factor of the inputs for which the fits of the folds are compared
 
 
 @dataclass(frozen=True)
 class Starts:
-    """Where rollouts begin: window (N, PAST + 1, p), past (N, PAST, m) and inputs (N, H, m), what follows (N, H, p)."""
+    """Starts of rollouts: window (N, PAST + 1, p), past inputs (N, PAST, m), inputs (N, H, m) and the measured outputs
+    after the start (N, H, p).
+    """
 
     window: np.ndarray
     past: np.ndarray
@@ -39,11 +41,12 @@ class Samples:
     """Runs y (T, p) in m, u (T, m), sampled every `timestep` s; u[k] is held from y[k] to y[k + 1].
 
     coordinates: output coordinates by name, None for the identity. targets: columns of y that are scored.
-    turns: symmetries; a copy of every run by each of them takes part in the fits, in the folds of its original, and
-    never in what is scored.
-    scale: m, root mean square of y; input_mean, input_scale: (m,) of the controlled runs.
-    most: rows of the controlled runs that a regression takes, evenly chosen.
-    owner, fold: (S,) run and fold of each sample of the runs one after the other, copies last, −1 of decays.
+    turns: symmetries. The fits use a copy of every run turned by each of them, in the fold of the original run. Scores
+    never use copies.
+    scale: m, root mean square of y; input_mean, input_scale: (m,), mean and spread of the inputs in controlled runs.
+    most: number of rows of the controlled runs in a regression, evenly chosen.
+    owner, fold: (S,), run and fold of each sample; the runs stand one after the other, copies last; the fold of decays
+    is −1.
     """
 
     def __init__(self, decays: Sequence, controlled: Sequence, timestep: float, *,
@@ -71,13 +74,13 @@ class Samples:
         self._latent: dict[str, np.ndarray] = {}
 
     def _pieces(self):
-        length = max(round(PIECE / self.timestep), 2 * self.past)  # longer than what a row sees, however slow
+        length = max(round(PIECE / self.timestep), 2 * self.past)  # longer than the samples that a row uses
         for run in range(len(self.decays), len(self.decays) + len(self.controlled)):
             ends = np.linspace(0, self.lengths[run], max(1, int(self.lengths[run]) // length) + 1).astype(int)
             yield from zip(self.first[run] + ends[:-1], self.first[run] + ends[1:])
 
     def _horizons(self) -> list[int]:
-        """Steps of the horizons, shorter ones where no piece is long enough for a second."""
+        """Number of steps of each horizon; shorter horizons if no piece is long enough for 1 s."""
         longest = max(end - begin for begin, end in self.pieces)
         room = max(2, (longest - self.past) // 2)
         steps = [round(seconds / self.timestep) for seconds in HORIZONS]
@@ -87,16 +90,16 @@ class Samples:
 
     @property
     def starts_share(self) -> float:
-        """Share of the starts that are scored; with few rows, while scouting, fewer of them, too."""
+        """Share of the starts that are scored; smaller for the first scores, which also use fewer rows."""
         return 1.0 if self.most >= MOST else 0.6
 
     @property
     def is_decay(self) -> np.ndarray:
-        """(S,) samples of decays."""
+        """Whether each sample belongs to a decay, (S,)."""
         return self.owner % (len(self.decays) + len(self.controlled)) < len(self.decays)
 
     def whole(self) -> Samples:
-        """The same runs, all rows of which a regression takes."""
+        """The same runs, with all their rows in a regression."""
         return Samples(self.decays, self.controlled, self.timestep, coordinates=self.coordinates,
                        targets=self.targets, past=self.past, most=len(self.y), turns=self.turns)
 
@@ -108,9 +111,10 @@ class Samples:
         return self._latent[name]
 
     def rows(self, ahead: int, decays: bool, copies: bool = True) -> np.ndarray:
-        """Samples with `past` before and `ahead` after them in their run, evenly chosen: of the controlled runs at most
-        `most`, twice as many where there are copies, and of the decays no more than of these and `most`, for smooth
-        motion repeats itself from sample to sample.
+        """Evenly chosen samples that have `past` samples before and `ahead` samples after them in their run.
+
+        Controlled runs give at most `most` of them, or twice as many with copies. Decays give no more than these and no
+        more than `most`, because neighbouring samples of a smooth motion contain little new information.
         """
         place = np.arange(len(self.y)) - self.first[self.owner]
         inside = (place >= self.past) & (place + ahead < self.lengths[self.owner])
@@ -125,18 +129,18 @@ class Samples:
         return np.concatenate([of_decays[_even(len(of_decays), count)], controlled])
 
     def touching(self, rows: np.ndarray, ahead: int) -> np.ndarray:
-        """(FOLDS, R) whether a row looks at samples that the fold holds out."""
+        """(FOLDS, R), whether a row uses samples that the fold holds out."""
         seen = [self.fold[rows + shift] for shift in (-self.past, 0, ahead)]
         return np.stack([np.any([each == fold for each in seen], axis=0) for fold in range(FOLDS)])
 
     def starts(self, samples: np.ndarray, horizon: int) -> Starts:
-        """What a rollout from these samples over so many steps needs."""
+        """The starts at these samples, for rollouts over `horizon` steps."""
         samples = np.asarray(samples)[:, None]
         return Starts(self.y[samples + np.arange(-self.past, 1)], self.u[samples + np.arange(-self.past, 0)],
                       self.u[samples + np.arange(horizon)], self.y[samples + np.arange(1, horizon + 1)])
 
     def held_out(self, fold: int) -> Starts:
-        """Starts whose future lies within the pieces of a fold."""
+        """Starts whose future lies within the pieces that a fold holds out."""
         horizon = self.horizons[-1]
         found = [np.arange(max(begin, self.first[self.owner[begin]] + self.past), end - horizon)
                  for begin, end in self.pieces[fold::FOLDS]]
@@ -144,7 +148,7 @@ class Samples:
         return self.starts(samples[_even(len(samples), round(self.starts_share * STARTS))], horizon)
 
     def training(self, fold: int) -> Starts:
-        """Starts of controlled runs that do not touch a fold's pieces, for rollouts that are fitted; FOLDS: of all."""
+        """Starts of controlled runs that do not touch a fold's pieces, for the refinement; fold FOLDS: all starts."""
         horizon = self.horizons[-1]
         samples = self.rows(horizon, decays=False)
         if fold < FOLDS:
@@ -153,7 +157,7 @@ class Samples:
         return self.starts(samples[_even(len(samples), FITTED)], horizon)
 
     def hurried(self) -> Starts:
-        """Starts of all controlled runs whose inputs follow each other twice as fast and are a quarter stronger."""
+        """Starts of all controlled runs, with inputs that are twice as fast and 1.25 times larger."""
         horizon = self.horizons[-1]
         samples = self.rows(2 * horizon, decays=False, copies=False)
         if not len(samples):

@@ -1,4 +1,4 @@
-"""Which specifications are tried, in stages: charts, memory, decays, features, size, fibre."""
+"""Search over specifications in stages: charts, memory, decays, features, size, fast state."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from ssmr_torch.selection.specification import Specification
 from ssmr_torch.selection.trial import Trial
 
 FIRST = (("bilinear", 0, 1e-4), ("configuration_affine", 0, 1e-3), ("cubic", 3, 1e-4), ("full_quadratic", 0, 1e-5))
-FIBRE = 12                          # states of the fast fibre, where one is tried
+FIBRE = 12                          # number of fast states, if they are tried
 RIDGES = (1e-6, 1e-4, 1e-2)
 ACTUATORS = (0.02, 0.05, 0.1, 0.2)  # s, time constants
 
 
 def search(trial: Trial, *, decays: bool, minutes: float = np.inf,
            say: Callable[[str], None] = lambda line: None) -> None:
-    """Try specifications until the stages are through; what was found stands in `trial.outcomes`."""
+    """Try specifications until all stages are done or the time is over; the results are in `trial.outcomes`."""
     def stage(name: str, specifications: Iterable[Specification]) -> None:
         chosen = [each for each in dict.fromkeys(specifications) if each not in trial.outcomes]
         for each in sorted(chosen, key=lambda each: str(each.regression)):
@@ -69,7 +69,7 @@ def _first(names: list[str], decays: bool) -> Iterable[Specification]:
 
 
 def _charts(trial: Trial, count: int) -> list[Specification]:
-    """The best specification of each of the best charts, two kinds of chart among them."""
+    """The best specification of each of the best charts, with at least two kinds of chart among them."""
     def key(each: Specification):
         return each.coordinates, each.chart, each.states, each.delays, each.future
 

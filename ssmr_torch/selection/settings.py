@@ -1,4 +1,4 @@
-"""What a user may say of a selection; everything has a default that needs no search."""
+"""Settings of the selection of a slow-fast model; every setting has a default."""
 
 from __future__ import annotations
 
@@ -8,27 +8,28 @@ from dataclasses import dataclass
 from ssmr_torch.settings import Settings, non_negative, whole
 
 PURPOSES = ("prediction", "control")
-SYMMETRIES = ("find", "none")  # or one that is stated
+SYMMETRIES = ("find", "none")  # or a symmetry as a mapping
 
 
 @dataclass(frozen=True)
 class SelectionSettings(Settings):
     """Settings of the selection of a slow-fast model; `changed(name=value)` gives others.
 
-    purpose: "prediction" judges by 50 ms, 200 ms and 1 s and may average several models; "control" by 200 ms and 1 s,
-        what a horizon and a task see, and takes one model, whose step is cheap.
-    scored: names of the outputs that are to be predicted best; None: all.
-    noise: m, standard deviation of the measurement noise that the model will see in use; the chart is then regressed
-        on windows with that noise. 0: the noise of the recordings.
-    coordinates: names of output coordinates to choose from, "identity" and "constant_curvature", or "module:Class" of
-        your own; None: all that the data suggest.
-    team: most models that are averaged; 1 for control.
-    refine: whether the best are refined by Gauss-Newton steps on rollouts.
-    symmetry: "find" turns of the outputs with a permutation of the inputs in the data and use them, "none", or one that
-        is known, {"angle": 90, "axis": [0, 0, 1], "inputs": [...]}, see `ssmr_torch.turns.stated`.
+    purpose: "prediction" scores by the errors over 50 ms, 200 ms and 1 s, and may average several models; "control"
+        scores by 200 ms and 1 s, the lengths of a horizon and of a task, and takes one model, whose step is fast.
+    scored: names of the outputs that matter; None: all.
+    noise: m, standard deviation of the measurement noise in later use; the chart is then regressed on windows with
+        that noise. 0: the noise of the recordings.
+    coordinates: names of the output coordinates that are tried: "identity", "constant_curvature", or your own class as
+        "module:Class"; None: all that suit the data.
+    team: largest number of models that are averaged; 1 for control.
+    refine: whether the best models are refined by Gauss-Newton steps on rollouts.
+    symmetry: "find" looks in the data for turns of the outputs with a permutation of the inputs, and uses them; "none"
+        uses none; a mapping states a known one, {"angle": 90, "axis": [0, 0, 1], "inputs": [...]}, see
+        `ssmr_torch.turns.stated`.
     minutes: CPU minutes after which no further specification is tried.
 
-    Raises ValueError for a value that makes no sense.
+    Raises ValueError for a value out of range.
     """
 
     purpose: str = "prediction"

@@ -1,4 +1,4 @@
-"""Whether a model stays near what was measured where nothing was: faster and stronger inputs, whole runs."""
+"""Stability of a model beyond the data: whether it stays bounded over whole runs under faster and larger inputs."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.selection.rollouts import rolled_out
 from ssmr_torch.selection.samples import Samples, Starts
 
-FARTHEST = 3.0    # times the largest training output that a rollout may reach
+FARTHEST = 3.0    # largest output of a rollout, relative to the largest training output
 STRONGER, FASTER = (1.0, 1.5), (1, 2)
 
 
 def stays_bounded(model: PolynomialModel, samples: Samples) -> bool:
-    """Whether no rollout over a whole training run leaves `FARTHEST` times the range, with the inputs as recorded,
-    twice as fast, half as strong again, and both; and what the model does at rest decays.
+    """Whether all rollouts over whole training runs stay within `FARTHEST` times the measured range, and all modes at
+    rest decay. The inputs are those recorded, twice as fast, 1.5 times larger, and both.
     """
     if not decays_at_rest(model):
         return False
@@ -30,7 +30,8 @@ def stays_bounded(model: PolynomialModel, samples: Samples) -> bool:
 
 
 def decays_at_rest(model: PolynomialModel) -> bool:
-    """Whether all modes at rest decay: what does not would grow for ever. The constant, a state of some, is no mode."""
+    """Whether all modes at rest decay. Other modes would grow without limit. A constant state does not count as a mode.
+    """
     constant = 0 if model.structure.relift else int(model.constant_states.sum())
     rates = np.sort(model.rates.real)
     return bool((rates[:len(rates) - constant] < 0.0).all())

@@ -1,4 +1,4 @@
-"""Turns that a linear response of the outputs to the inputs suggests: axes, permutations of inputs and of markers."""
+"""Candidate symmetries (turns) from a linear response of the outputs: axes, permutations of inputs and of markers."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import numpy as np
 from ssmr_torch.turns import Turn, closed, marker_size, mirror, on_markers, rotation
 
 ANGLES = (60, 90, 120, 180)   # degrees
-NEAR = 0.25                   # of the response, by which a turn that is looked at more closely may miss
-CLEARER = 0.8                 # times what markers in their places miss, for other places to be taken
-SMALL, EXACT = 1e-2, 1e-9     # of the response: differences that have no direction; of an axis, to be named by a letter
-UNLIKE = 1.5                  # ratio of two inputs' spreads from which on they do not change places
+NEAR = 0.25                   # largest relative error of the turned response for a turn to be tried
+CLEARER = 0.8                 # markers are permuted only if this multiplies the error by less than this factor
+SMALL, EXACT = 1e-2, 1e-9     # smaller differences of the response have no direction; tolerance of a coordinate axis
+UNLIKE = 1.5                  # inputs whose spreads differ by a larger ratio are not permuted
 ALTERNATIONS = 3
 
 
 def suggested(response: np.ndarray, signed: np.ndarray, spread: np.ndarray, inferred: bool = False) -> list[Turn]:
-    """Turns that a linear response G (H, p, m) to steps of the inputs nearly allows, best first, one for each
-    permutation.
+    """Turns that leave a linear response G (H, p, m) to input steps nearly unchanged, best first, one per permutation.
 
-    signed: (m,) inputs that take both signs alike; spread: (m,) of the inputs, which change places only where theirs
-    are alike. inferred: whether axes are inferred from the response, for markers measured in a frame that is not the
-    robot's; else they are coordinate axes, and normals of reflections have multiples of 15° to them. The outputs are
-    markers of 3 (or 2) coordinates; markers may change places, too.
+    The outputs are markers of 3 (or 2) coordinates. A turn may permute the inputs and the markers.
+    signed: (m,), whether an input takes both signs alike. spread: (m,), spread of each input; only inputs of similar
+    spread are permuted. inferred: whether axes are estimated from the response, for markers that are measured in a
+    frame other than the robot's. Otherwise the axes are coordinate axes, and the normals of reflections are at
+    multiples of 15° to them.
     """
     size = marker_size(response.shape[1])
     if not size or not np.linalg.norm(response):
@@ -42,8 +42,8 @@ def suggested(response: np.ndarray, signed: np.ndarray, spread: np.ndarray, infe
 
 
 def _isometries(size: int, axes: Sequence, normals: Sequence) -> Iterable[tuple[np.ndarray, str]]:
-    """Rotations and reflections. In the plane no turn by 180° is among them: with inputs of both signs every linear
-    response allows it.
+    """Rotations and reflections, with their names. Turns by 180° in the plane are left out: for inputs of both signs
+    they leave every linear response unchanged.
     """
     if size == 2:
         yield from ((rotation(angle, (0, 0)), f"turn by {angle}°") for angle in ANGLES if angle < 180)
@@ -61,10 +61,10 @@ def _plain_normals(size: int) -> list[np.ndarray]:
 
 
 def _inferred(response: np.ndarray, size: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Axes, and normals of reflections.
+    """Axes of rotations and normals of reflections, estimated from the response.
 
-    The matrix of second moments of the response commutes with its symmetries: their axes and normals are eigenvectors,
-    or, where two values are alike, normals are differences of two inputs' responses.
+    The matrix of second moments of the response commutes with its symmetries. Their axes and normals are therefore
+    eigenvectors; if two eigenvalues are equal, normals are differences of the responses to two inputs.
     """
     markers = response.reshape(len(response), -1, size, response.shape[2])
     axes = list(np.linalg.eigh(np.einsum("hiam,hibm->ab", markers, markers))[1].T)
@@ -86,7 +86,7 @@ def _direction(axis: np.ndarray) -> str:
 
 
 def placed(response: np.ndarray, turn: Turn) -> Turn:
-    """The same turn of every marker and permutation of the inputs, with the places of the markers that miss least."""
+    """The same turn with the permutation of the markers that gives the smallest error of the response."""
     size = marker_size(response.shape[1])
     R = turn.outputs[:size, :size]
     turned, markers = _turned(response, R)
@@ -96,7 +96,9 @@ def placed(response: np.ndarray, turn: Turn) -> Turn:
 
 
 def _assigned(response: np.ndarray, R: np.ndarray, signed: np.ndarray, name: str) -> Turn:
-    """The turn with this isometry of every marker that misses the response least, alternating inputs and markers."""
+    """The turn with this isometry and the smallest error of the response. It optimizes the permutations of inputs and
+    of markers in turn.
+    """
     turned, markers = _turned(response, R)
     count, found = markers.shape[1], []
     for places in (np.roll(np.arange(count), -shift) for shift in range(count)):
@@ -115,14 +117,14 @@ def _turned(response: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _places(turned: np.ndarray, markers: np.ndarray, P: np.ndarray) -> np.ndarray:
-    """Where each marker goes, by the assignment of least squares."""
+    """The permutation of the markers with the least squared error, by linear assignment."""
     return _matched(np.square(turned[:, :, None] - (markers @ P)[:, None]).sum((0, 3, 4)))
 
 
 def _permutation(turned: np.ndarray, to: np.ndarray, signed: np.ndarray) -> np.ndarray:
-    """P (m, m) with turned ≈ to P, by the assignment of least squares."""
+    """P (m, m) with turned ≈ to P and the least squared error, by linear assignment."""
     a, b = (each.reshape(-1, each.shape[-1]) for each in (turned, to))
-    inner = a.T @ b                                   # [j, l]: input j's turned response on that of input l
+    inner = a.T @ b                                   # [j, l]: turned response to input j times response to input l
     both = signed[:, None] & signed[None]
     signs = np.where(both & (inner < 0), -1.0, 1.0)
     cost = (a ** 2).sum(0)[:, None] + (b ** 2).sum(0)[None] - 2 * signs * inner

@@ -1,7 +1,7 @@
-"""Symmetries of a robot, found in its training runs or stated: whether the runs are used once more, turned.
+"""Symmetries of a robot, found in its training runs or stated by the user; the runs are then used again, turned.
 
-A linear model's response to steps of the inputs suggests turns; a turn is used if models that learn from the turned
-copies, too, predict what the folds hold out better than models that do not, copies and original in the same fold.
+The response of a linear model to input steps suggests turns. A turn is used if models that are also fitted to the
+turned copies predict the held-out parts better than models without copies. A copy is in the same fold as its original.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from ssmr_torch.selection.suggested_turns import NEAR, placed, suggested
 from ssmr_torch.selection.trial import Trial
 from ssmr_torch.turns import Turn, closed, marker_size, stated
 
-STEP, INSTANTS = 1.0, 10    # s and samples of the responses that are compared
-SIGNED = 0.5                # of an input's largest value, that it takes with the other sign, too
-TIE = 1.03                  # times an error, that is no difference: of two such groups of turns the larger is used
-RIVALS = 20                 # specifications whose fits without copies are looked at, where the best does without
+STEP, INSTANTS = 1.0, 10    # length in s and number of samples of the responses that are compared
+SIGNED = 0.5                # an input counts as signed if its smaller extreme exceeds this share of its larger one
+TIE = 1.03                  # errors within this factor count as equal; the larger of two such groups of turns is used
+RIVALS = 20                 # number of specifications that are also fitted without copies
 LINEAR = [Specification(delays=delays, memory=("shift", delays)) for delays in (4, 2, 1)]
 FORMS = (Specification(features="configuration_affine", ridge=1e-2),
          Specification(delays=4, memory=("shift", 4), features="bilinear"),
@@ -34,7 +34,9 @@ FORMS = (Specification(features="configuration_affine", ridge=1e-2),
 
 @dataclass(frozen=True, eq=False)
 class Symmetric:
-    """trial: on the runs and their turned copies; turns: by which; found: in words; plain: the trial without copies."""
+    """trial: the trial on the runs and their turned copies; turns: the symmetries; found: a sentence about them; plain:
+    the trial without copies.
+    """
 
     trial: Trial
     turns: list[Turn] = field(default_factory=list)
@@ -42,7 +44,7 @@ class Symmetric:
     plain: Trial | None = None
 
     def kept(self) -> Symmetric:
-        """What predicts better, once specifications have been tried: this, or the runs as they are."""
+        """The better of both, after specifications were tried: with the turned copies, or without them."""
         best = self.trial.best(RIVALS)
         if self.plain is None or not best:
             return self
@@ -53,15 +55,15 @@ class Symmetric:
         for each in best[3:]:
             self.plain(each)
         return Symmetric(self.plain, [], f"{self.found} But the best model predicts better without the turned runs "
-                                         f"(score {without:.3f}, with them {with_copies:.3f}): they were left out.")
+                                         f"(score {without:.3f}, with them {with_copies:.3f}), so they are not used.")
 
 
 def with_symmetry(make: Callable[[Sequence[Turn]], Trial], wish: str | Mapping,
                   input_names: Sequence[str] | None = None) -> Symmetric:
-    """The trial that uses what symmetry there is; make: a trial on the runs and their copies by turns.
+    """The trial that uses the symmetries of the runs. make: builds a trial on the runs and their turned copies.
 
-    wish: "find", "none", or a symmetry as `ssmr_torch.turns.stated` takes it, which is used without being judged.
-    Raises ValueError for a symmetry that makes no sense.
+    wish: "find", "none", or a symmetry in the form of `ssmr_torch.turns.stated`, which is used without a test.
+    Raises ValueError for an invalid symmetry.
     """
     plain = make(())
     if wish == "none":
@@ -77,17 +79,17 @@ def with_symmetry(make: Callable[[Sequence[Turn]], Trial], wish: str | Mapping,
         turn = told if G is None else placed(G, told)
         return _used(plain, make(closed([turn])), _as_stated(turn, G, names), judged=False)
     if G is None:
-        return Symmetric(plain, found="No symmetry was looked for: the runs determine no stable linear response.")
+        return Symmetric(plain, found="No symmetry was searched: no linear model of the runs is stable.")
     if not marker_size(samples.output_dim):
-        return Symmetric(plain, found=f"No symmetry was looked for: {samples.output_dim} outputs are no markers of 3 "
-                                      "or 2 coordinates.")
+        return Symmetric(plain, found=f"No symmetry was searched: {samples.output_dim} outputs are not markers with 3 "
+                                      "or 2 coordinates each.")
     return _found(make, plain, G, names)
 
 
 def response(samples: Samples) -> np.ndarray:
-    """Responses G (H, p, m) of a linear model to a step of each input, of the size of the inputs' mean spread, m.
+    """Responses G (H, p, m), m, of a linear model to a step of each input; the step is the mean spread of the inputs.
 
-    Raises ValueError where no linear model of the runs is stable.
+    Raises ValueError if no linear model of the runs is stable.
     """
     model, m = _stable_linear(samples), samples.input_dim
     steps = max(INSTANTS, round(STEP / samples.timestep))
@@ -109,8 +111,8 @@ def _stable_linear(samples: Samples) -> PolynomialModel:
 
 
 def groups(turns: Sequence[Turn]) -> list[list[Turn]]:
-    """What is tried: all turns that fit together, the largest group of one rotation, the best rotation and reflection
-    alone; as generators.
+    """Groups of turns that are tried, by their generators: all turns that form a group, the largest group of one
+    rotation, the best rotation alone, and the best reflection alone.
     """
     if not turns:
         return []
@@ -149,7 +151,7 @@ def _found(make, plain: Trial, G: np.ndarray, names: list[str]) -> Symmetric:
             plain(replace(form, coordinates=name))
     form = min(plain.outcomes, key=lambda each: _value(plain, each))
     if not np.isfinite(_value(plain, form)):
-        return Symmetric(plain, found="No symmetry was used: no model of the runs judges it.")
+        return Symmetric(plain, found="No symmetry was used: no model of the runs is good enough to test it.")
     tried = [(make(closed(generators)), generators) for each in turns for generators in groups(each)]
     tied = min(_value(each, form) for each, _ in tried) + np.log(TIE)
     trial, generators = max((each for each in tried if _value(each[0], form) <= tied),
@@ -157,11 +159,11 @@ def _found(make, plain: Trial, G: np.ndarray, names: list[str]) -> Symmetric:
     before, after = (_error(each, form) for each in (plain, trial))
     words = _words(generators, G, names)
     if not (_value(trial, form) < _value(plain, form) and after < TIE * before):
-        return Symmetric(plain, found=f"No symmetry was used. {words}, but with runs turned so the error on stretches "
-                                      f"held out is {after / before:.2f} times that without (score "
+        return Symmetric(plain, found=f"No symmetry was used. {words}, but with the turned runs the error on held-out "
+                                      f"parts is {after / before:.2f} times the error without them (score "
                                       f"{_value(trial, form):.3f}, without {_value(plain, form):.3f}).")
-    return _used(plain, trial, f"{words}: the runs were used {1 + len(trial.samples.turns)} times, for the error on "
-                               f"stretches held out is {after / before:.2f} times that without.")
+    return _used(plain, trial, f"{words}: the runs were used {1 + len(trial.samples.turns)} times, because the error "
+                               f"on held-out parts is then {after / before:.2f} times the error without.")
 
 
 def _used(plain: Trial, trial: Trial, found: str, judged: bool = True) -> Symmetric:
@@ -170,19 +172,19 @@ def _used(plain: Trial, trial: Trial, found: str, judged: bool = True) -> Symmet
 
 
 def _value(trial: Trial, form: Specification) -> float:
-    """The score as if no single rollout were a reason to refuse: of few runs, most models lose one."""
+    """The score without the penalty for single diverged rollouts, because with few runs most models have one."""
     trial(form)
     outcome = trial.outcomes[form]
     return float(0.5 * np.log(outcome.e ** 2 + outcome.v ** 2)[trial.horizons].mean())
 
 
 def _error(trial: Trial, form: Specification) -> float:
-    """Geometric mean over the horizons that count of the error on what the folds hold out."""
+    """Error on the held-out parts, as geometric mean over the horizons that count."""
     return float(np.exp(np.log(trial.outcomes[form].e[trial.horizons]).mean()))
 
 
 def _words(turns: Sequence[Turn], G: np.ndarray, names: list[str]) -> str:
-    """What is done, and what it leaves unchanged."""
+    """A sentence on the turns and on how well they leave the response unchanged."""
     each = " and a ".join(f"{turn.name} with the inputs renumbered ({turn.renumbering(names)})" for turn in turns)
     return (f"A {each} {'leave' if len(turns) > 1 else 'leaves'} the response to steps unchanged to "
             f"{100 * max(turn.missed(G) for turn in turns):.2g} %")
@@ -190,6 +192,6 @@ def _words(turns: Sequence[Turn], G: np.ndarray, names: list[str]) -> str:
 
 def _as_stated(turn: Turn, G: np.ndarray | None, names: list[str]) -> str:
     if G is None:
-        return f"As stated, a {turn.name} ({turn.renumbering(names)}) is a symmetry; the runs cannot tell."
-    doubtful = " (this is much: look whether axis and order of the inputs are right)" if turn.missed(G) > NEAR else ""
+        return f"As stated, a {turn.name} ({turn.renumbering(names)}) is a symmetry; the runs cannot confirm it."
+    doubtful = " (this is much: check the axis and the order of the inputs)" if turn.missed(G) > NEAR else ""
     return f"As stated: {_words([turn], G, names)}{doubtful}: the runs were used {1 + len(closed([turn]))} times."

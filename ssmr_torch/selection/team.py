@@ -1,4 +1,4 @@
-"""Which models are averaged, and their average as one model."""
+"""Team of models: chooses the models that are averaged, and builds their average as one model."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ssmr_torch.selection.samples import FOLDS
 from ssmr_torch.selection.specification import Specification
 from ssmr_torch.selection.trial import Outcome, Trial
 
-LARGEST, GAIN = 4, 0.01   # members, and the least by which another must lower the score
+LARGEST, GAIN = 4, 0.01   # largest number of members; smallest decrease of the score for a further member
 
 
 def choose_team(trial: Trial, pool: Sequence[Specification], largest: int = LARGEST) -> list[Specification]:
-    """The best of a pool, and what then lowers the score of the averaged prediction most, one by one."""
+    """The best of a pool, and then, one by one, the member that lowers the score of the averaged prediction most."""
     team = list(pool[:1])
     while team and len(team) < min(largest, len(pool)):
         scores = {each: averaged(trial, [*team, each]).score for each in pool if each not in team}
@@ -36,10 +36,10 @@ def averaged(trial: Trial, team: Sequence[Specification]) -> Outcome:
 
 
 def merged(models: Sequence[PolynomialModel]) -> PolynomialModel:
-    """One model of all their states, whose output is the mean of theirs; of different coordinates, of the outputs that
-    these give.
+    """One model with the states of all models, whose output is the mean of their outputs. Their output coordinates may
+    differ.
 
-    All are maps of one sampling time with saturated terms and the same reach.
+    All models must be maps with the same sampling time, with saturated terms and the same reach.
     """
     if len(models) == 1:
         return models[0]
@@ -87,7 +87,7 @@ class _Joint:
         self.flow, self.flow_table = _table(self.n + self.m, self.n, entries)
 
     def _chart(self) -> None:
-        """Chart over the entries that any member sees, each divided by the member's own scale."""
+        """Chart over the entries that any member uses, each divided by that member's scale."""
         width, latent = int(self.offsets[-1]), []
         for model in self.models:
             own = model.latent_dim
@@ -132,7 +132,7 @@ def _table(variables: int, rows: int, entries: dict[tuple, list]) -> tuple[Monom
 
 
 def stable_pool(trial: Trial, ranked: Sequence[Specification], count: int) -> tuple[list, list]:
-    """The first `count` of the ranked whose model of all the data stays bounded, and those refused on the way."""
+    """The first `count` ranked specifications whose model of all data stays bounded, and those that were refused."""
     kept, refused = [], []
     for each in ranked:
         if len(kept) == count:

@@ -1,11 +1,11 @@
-"""How a specification does on what the folds hold out, and how far its fits differ beyond the recordings.
+"""Score of a specification: its error on held-out parts, and the spread of its fits beyond the recordings.
 
     e_h: geometric mean over held-out starts of the rms error up to horizon h
-    v_h: the same of the deviation of the folds' fits from their mean, over training starts replayed twice as fast and a
-         quarter stronger
+    v_h: the same mean of the deviation of the folds' fits from their average, over training starts with inputs twice as
+         fast and 1.25 times larger
     score: mean over h of ½ log(e_h² + v_h²)
 
-e says what is wrong, v what the data do not determine; both in units of persistence's error.
+e is the error of the model, v the part that the data do not determine; both are relative to the error of persistence.
 """
 
 from __future__ import annotations
@@ -25,14 +25,16 @@ from ssmr_torch.selection.samples import FOLDS, Samples, Starts
 from ssmr_torch.selection.specification import Specification
 from ssmr_torch.selection.stability import stays_bounded
 
-FAR = 50.0        # times the outputs' size: what a diverged rollout counts
-FLOOR = 1e-9      # of the outputs' size
+FAR = 50.0        # error of a diverged rollout, relative to the outputs' size
+FLOOR = 1e-9      # smallest error, relative to the outputs' size
 MOST_LEFT = 100.0
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """score, e (h,), v (h,); predictions: of the targets, one per fold, then one per fold at double speed, scaled."""
+    """score, e (h,), v (h,). predictions: scaled predictions of the targets, one per fold, then one per fold at double
+    speed.
+    """
 
     score: float
     e: np.ndarray
@@ -44,7 +46,7 @@ FAILED = Outcome(np.inf, np.full(3, np.inf), np.full(3, np.inf))
 
 
 class Trial:
-    """Tries specifications on one set of runs; horizons: indices of those of the samples that count."""
+    """Tries specifications on one set of runs. horizons: indices of the horizons that count."""
 
     def __init__(self, samples: Samples, *, horizons: Sequence[int] | None = None, noise: float = 0.0):
         self.samples, self.noise, self.began = samples, noise, process_time()
@@ -53,9 +55,9 @@ class Trial:
         self.fast = samples.hurried()
         if sum(len(starts) > 0 for starts in self.held_out) < 2 or not len(self.fast):
             seconds = ", ".join(f"{len(y) * samples.timestep:.3g}" for y, _ in samples.controlled[:5])
-            raise ValueError(f"controlled training runs of {seconds} s give no two stretches to hold out in turn, each "
-                             f"with a window of {samples.past + 1} samples before what is predicted; record more runs, "
-                             f"or longer ones than {2 * samples.past * samples.timestep:.3g} s")
+            raise ValueError(f"the controlled training runs are too short: {seconds} s. Cross-validation needs two "
+                             f"parts to hold out, each after a window of {samples.past + 1} samples; record more runs, "
+                             f"or runs longer than {2 * samples.past * samples.timestep:.3g} s")
         self.outcomes: dict[Specification, Outcome] = {}
         self._closed: tuple[tuple, ClosedForm] | None = None
         self._whole: Samples | None = None
@@ -71,7 +73,7 @@ class Trial:
         return process_time() - self.began
 
     def __call__(self, specification: Specification) -> float:
-        """The score, infinite for what cannot be fitted or diverges."""
+        """The score; infinite for a specification that cannot be fitted or diverges."""
         if specification not in self.outcomes:
             try:
                 closed = self.closed_form(specification)
@@ -84,36 +86,37 @@ class Trial:
         return self.outcomes[specification].score
 
     def reconsider(self, specifications: Sequence[Specification]) -> None:
-        """Try what did best on fewer rows and starts."""
+        """Score specifications again that were best with fewer rows and starts."""
         for each in sorted(specifications, key=lambda each: str(each.regression)):
             self(each)
 
     def closed_form(self, specification: Specification) -> ClosedForm:
-        """Its closed form; that of the last one is kept, for specifications that differ in ridge alone."""
+        """The closed form of a specification. The last one is kept, because the next one often differs only in ridge.
+        """
         if self._closed is None or self._closed[0] != specification.regression:
             self._closed = specification.regression, ClosedForm(self.samples, specification, self.noise)
         return self._closed[1]
 
     def fitted(self, closed: ClosedForm, specification: Specification, fold: int) -> PolynomialModel:
-        """The model of what a fold leaves, or of all, with what refines it."""
+        """The model fitted to all rows that the fold does not hold out (or to all rows), with its refinement."""
         model = closed.model(specification.ridge, fold)
         if specification.pull:
             model = refine(self._problem(closed, model, fold), specification.pull)
         return with_fibre(model, self.samples, specification.fibre, fold) if specification.fibre else model
 
     def final(self, specification: Specification) -> PolynomialModel:
-        """The model of all rows of all the data."""
+        """The model fitted to all rows of all data."""
         if self._whole is None:
             self._whole = self.samples.whole()
         closed = ClosedForm(self._whole, specification, self.noise)
         return self.fitted(closed, specification, ALL)
 
     def bounded(self, specification: Specification) -> bool:
-        """Whether the model of all folds stays near what was measured, see `stays_bounded`."""
+        """Whether the model fitted to all folds stays near the measured range, see `stays_bounded`."""
         return stays_bounded(self.fitted(self.closed_form(specification), specification, ALL), self.samples)
 
     def refinable(self, specification: Specification) -> bool:
-        """Whether Gauss-Newton steps on it take seconds at most."""
+        """Whether its Gauss-Newton steps take at most some seconds."""
         closed = self.closed_form(specification)
         return self._problem(closed, closed.model(specification.ridge), ALL).work < LARGEST
 
@@ -123,14 +126,14 @@ class Trial:
         return Problem(model, closed.charts[fold].E, self._training[fold], self.samples.targets)
 
     def predicted(self, model: PolynomialModel, starts: Starts) -> np.ndarray:
-        """Targets along the horizon, scaled, (N, H, targets); what diverged is far away."""
+        """Targets along the horizon, scaled, (N, H, targets); a diverged rollout gets a large constant error."""
         if not len(starts):
             return starts.follows[..., self.samples.targets].astype(np.float32)
         found = rolled_out(model, starts)[..., self.samples.targets] / self.samples.scale
         return np.nan_to_num(found, nan=1e3, posinf=1e3, neginf=-1e3).astype(np.float32)
 
     def judged(self, predictions: list[np.ndarray]) -> Outcome:
-        """The outcome of predictions, of one specification or of an average."""
+        """The outcome of predictions of one specification or of an average."""
         held, fast = predictions[:FOLDS], np.stack(predictions[FOLDS:])
         held = [each.clip(-FAR, FAR) for each in held]
         fast = fast.clip(-FAR, FAR)
@@ -149,6 +152,6 @@ class Trial:
                          for steps in self.samples.horizons])
 
     def best(self, count: int | None = None, keep=lambda specification: True) -> list[Specification]:
-        """The specifications of lowest score that `keep` likes."""
+        """The specifications with the lowest scores among those for which `keep` is true."""
         order = sorted(self.outcomes, key=lambda specification: self.outcomes[specification].score)
         return [each for each in order if np.isfinite(self.outcomes[each].score) and keep(each)][:count]

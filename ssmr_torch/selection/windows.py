@@ -1,4 +1,4 @@
-"""The same model with a longer window."""
+"""Extends the window of a model without changing its predictions."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ssmr_torch.models.polynomial import PolynomialModel
 
 
 def longer_window(model: PolynomialModel, delays: int) -> PolynomialModel:
-    """A model whose linear chart looks at [1, all of a window of at least delays + 1 samples, all past inputs within],
-    with coefficients of zero where it looked at nothing before.
+    """The same model, with a linear chart over [1, a window of at least delays + 1 samples, all past inputs in it]. The
+    coefficients of new entries are zero.
     """
     delays, latent, m = max(delays, model.delays), model.latent_dim, model.input_dim
     window, shift = (delays + 1) * latent, delays - model.delays
@@ -32,7 +32,7 @@ def longer_window(model: PolynomialModel, delays: int) -> PolynomialModel:
 
 
 def _input_scale(model: PolynomialModel, window: int) -> np.ndarray:
-    """By what the chart divides each input, (m,); 1 where it sees none."""
+    """Scale by which the chart divides each input, (m,); 1 if it uses no inputs."""
     found = np.ones(model.input_dim)
     for place, size in zip(model.structure.window_order, model.window_scale):
         if place >= window:

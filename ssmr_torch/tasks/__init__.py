@@ -1,7 +1,7 @@
-"""Tasks: what a robot shall trace, as displacement from rest over time; each of these gives a `Task`.
+"""Tasks: the path that a robot shall trace, as displacement from rest over time. Each function here gives a `Task`.
 
     task = ssmr_torch.tasks.figure_eight(tracked=["tip_x", "tip_y"])    # also circle, rose, letter, pacman
-    task = ssmr_torch.tasks.path(times, points, outputs=["tip_x", "tip_y"])           # a path of one's own
+    task = ssmr_torch.tasks.path(times, points, outputs=["tip_x", "tip_y"])           # your own points
     task = ssmr_torch.tasks.circle(obstacles=[ssmr_torch.tasks.obstacles.Circle([0.0, 0.01], 0.004)])
 """
 

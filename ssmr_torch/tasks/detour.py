@@ -1,4 +1,4 @@
-"""A reference that leads through obstacles, led round them."""
+"""A detour: a reference that runs into obstacles is led around them."""
 
 from __future__ import annotations
 
@@ -8,20 +8,21 @@ import numpy as np
 
 from ssmr_torch.tasks.references import Task
 
-# corners of the polygon around each circle, and samples of the reference per second
+# Corners of the polygon around each circle, and samples of the reference per second.
 CORNERS, RATE = 32, 500
 
 
 def detour(task: Task, clearance: float = 0.0) -> Task:
-    """The same task with its reference led round the circles that stand still, on the shortest way.
+    """The same task with its reference led around the circles that do not move, along the shortest way.
 
-    Where the reference is nearer to a circle than `clearance` m, it is replaced from the last point before to the first
-    after by the shortest way between the two that keeps this clearance from all circles, along polygons of `CORNERS`
-    corners around them; the way is passed in the same time, each part of it in that of the like part of the reference's
-    own length. So it does not run into a dead end, where a controller that looks some steps ahead would wait for the
-    reference to come out again. A reference that begins or ends inside begins or ends at the nearest point outside.
-    Circles that move and half-planes are left to the controller; outputs but the first two keep their reference.
-    Raises ValueError where there is no such way, with its time, or for a clearance that is negative.
+    Where the reference is nearer to a circle than `clearance` m, that part is replaced. The new part runs from the last
+    point before it to the first point after it. It is the shortest way that keeps the clearance from all circles, along
+    polygons of `CORNERS` corners around them. It takes the same time as the part that it replaces: at every instant the
+    same share of the length has been covered. A controller that looks only some steps ahead then does not stop in front
+    of an obstacle to wait for the reference. A reference that begins or ends inside a circle begins or ends at the
+    nearest point outside.
+    The controller itself must avoid moving circles and half-planes. Outputs after the first two keep their reference.
+    Raises ValueError where no such way exists, with the time, and for a negative clearance.
     """
     circles = [o for o in task.obstacles if hasattr(o, "radius") and not callable(o.center)]
     if not (np.isfinite(clearance) and clearance >= 0):
@@ -38,8 +39,8 @@ def detour(task: Task, clearance: float = 0.0) -> Task:
         way = room.way(*ends)
         if way is None:
             raise ValueError(f"the reference of task {task.name!r} is inside an obstacle from {time[first]:.3g} to "
-                             f"{time[last]:.3g} s, and no way round keeps {1e3 * clearance:g} mm; ask for less "
-                             "clearance, or move the obstacles")
+                             f"{time[last]:.3g} s, and no way around it keeps a clearance of {1e3 * clearance:g} mm; "
+                             "reduce the clearance, or move the obstacles")
         reference[before:after + 1, :2] = _passed(way, reference[before:after + 1, :2])
 
     def path(at):
@@ -56,7 +57,7 @@ def _inside(room: _Room, points: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _passed(way: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Points on the way (corners, 2), at the shares of its length that `own` (K, 2) has of its own."""
+    """Points on the way (corners, 2). Each lies at the share of the way's length that it has in `own` (K, 2)."""
     done = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(own, axis=0), axis=1))])
     share = done / done[-1] if done[-1] > 0 else np.linspace(0.0, 1.0, len(own))
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
@@ -64,13 +65,13 @@ def _passed(way: np.ndarray, own: np.ndarray) -> np.ndarray:
 
 
 class _Room:
-    """The plane outside of circles, centers (c, 2) and radii (c,) m: ways through it along the corners around them."""
+    """The plane outside circles with centers (c, 2) and radii (c,) m. Ways run along polygons around the circles."""
 
     def __init__(self, centers: np.ndarray, radii: np.ndarray):
         self.centers, self.radii = centers, radii
         angle = 2 * np.pi * np.arange(CORNERS) / CORNERS
         around = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        # the sides of the polygon touch the circle; a hair further out, so that rounding does not put them inside
+        # The sides of the polygon touch the circle. The factor keeps rounding from putting them inside.
         corners = centers[:, None] + (1 + 1e-6) * radii[:, None, None] / np.cos(np.pi / CORNERS) * around
         corners = corners.reshape(-1, 2)
         self.corners = corners[self.clearance(corners) >= 0]
@@ -78,17 +79,17 @@ class _Room:
             len(self.corners), len(self.corners))
 
     def clearance(self, points: np.ndarray) -> np.ndarray:
-        """(K,) m to the nearest circle of points (K, 2); negative inside."""
+        """Distance (K,) m from points (K, 2) to the nearest circle; negative inside."""
         return (np.linalg.norm(points[:, None] - self.centers, axis=2) - self.radii).min(axis=1)
 
     def outside(self, point: np.ndarray) -> np.ndarray:
-        """The point, or the nearest corner where it lies in a circle."""
+        """The point itself, or the nearest corner where the point lies in a circle."""
         if self.clearance(point[None])[0] >= 0 or not len(self.corners):
             return point
         return self.corners[np.linalg.norm(self.corners - point, axis=1).argmin()]
 
     def _free(self, start: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """Lengths (K,) m of the straight lines from start (2,) to ends (K, 2); infinite through a circle."""
+        """Lengths (K,) m of the straight lines from start (2,) to ends (K, 2); infinite where one cuts a circle."""
         along = ends - start
         length = np.linalg.norm(along, axis=1)
         share = ((self.centers - start) @ along.T) / np.maximum(length, 1e-12)**2
@@ -97,8 +98,8 @@ class _Room:
         return np.where((distance >= self.radii[:, None] * (1 - 1e-9)).all(axis=0), length, np.inf)
 
     def way(self, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
-        """Corners (·, 2) of the shortest way, both ends included; None where there is none."""
-        from scipy.sparse.csgraph import dijkstra  # planning ahead, not on a robot
+        """Corners (·, 2) of the shortest way, with both ends; None where there is no way."""
+        from scipy.sparse.csgraph import dijkstra  # only for planning: a robot needs no SciPy
 
         count = len(self.corners)
         lengths = np.full((count + 2, count + 2), np.inf)

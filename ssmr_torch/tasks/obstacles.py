@@ -1,4 +1,4 @@
-"""Regions that the tracked outputs must keep out of."""
+"""Obstacles of a task: regions that the tracked outputs must not enter."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ssmr_torch.tasks.curves import Drift, refuse_nameless
 class Circle:
     """‖y − c(t)‖ ≥ radius, in the plane of the first two tracked outputs (a cylinder where a third is tracked).
 
-    center: (2,) m, or a function of times (K,) s that gives (K, 2) m, for an obstacle that moves.
+    center: (2,) m; for a moving obstacle a function from times (K,) s to centers (K, 2) m.
     Raises ValueError for a radius that is not positive or a center of another shape.
     """
 
@@ -40,7 +40,7 @@ class Circle:
         return replace(self, center=deepcopy(self.center, memo))
 
     def centers(self, time: np.ndarray) -> np.ndarray:
-        """(K,) s → (K, 2) m. Raises ValueError when the function returns another shape."""
+        """Centers (K, 2) m at times (K,) s. Raises ValueError when the function returns another shape."""
         time = np.atleast_1d(np.asarray(time, dtype=np.float64))
         if not callable(self.center):
             return np.broadcast_to(self.center, (len(time), 2))
@@ -51,13 +51,13 @@ class Circle:
         return centers
 
     def clearance(self, time: np.ndarray, outputs: np.ndarray) -> np.ndarray:
-        """‖y − c‖ − radius, (K,) m, of the first two columns of outputs (K, ≥ 2); negative inside."""
+        """‖y − c‖ − radius, (K,) m, for the first two columns of outputs (K, ≥ 2); negative inside the circle."""
         return np.linalg.norm(outputs[:, :2] - self.centers(time), axis=1) - self.radius
 
 
 @dataclass(frozen=True, eq=False)
 class HalfPlane:
-    """normalᵀ y ≤ offset over the first tracked outputs, as many as the normal has entries; normal of length one.
+    """normalᵀ y ≤ offset for the first tracked outputs, as many as the normal has entries. The normal has length one.
 
     Raises ValueError for a normal of length zero.
     """
@@ -69,31 +69,31 @@ class HalfPlane:
         normal = np.atleast_1d(np.array(self.normal, dtype=np.float64))
         length = np.linalg.norm(normal)
         if normal.ndim != 1 or not np.isfinite(length) or length == 0 or not np.isfinite(self.offset):
-            raise ValueError(f"a half-plane with normal {self.normal} and offset {self.offset} m; expected a vector "
-                             "that is not zero, and a finite offset")
+            raise ValueError(f"a half-plane has the normal {self.normal} and the offset {self.offset} m; expected a "
+                             "normal that is not zero, and a finite offset")
         object.__setattr__(self, "normal", normal / length)
         object.__setattr__(self, "offset", float(self.offset / length))
 
     def clearance(self, time: np.ndarray, outputs: np.ndarray) -> np.ndarray:
-        """offset − normalᵀ y, (K,) m, of outputs (K, ≥ len(normal)); negative outside of the allowed half."""
+        """offset − normalᵀ y, (K,) m, for outputs (K, ≥ len(normal)); negative where the half-plane is violated."""
         return self.offset - outputs[:, :len(self.normal)] @ self.normal
 
 
 def drifting(center, velocity) -> Callable[[np.ndarray], np.ndarray]:
-    """Center (2,) m that moves with a constant velocity (2,) m/s, for `Circle`."""
+    """A function for `Circle.center`: a center (2,) m that moves with a constant velocity (2,) m/s."""
     center, velocity = np.array(center, dtype=np.float64), np.array(velocity, dtype=np.float64)
     return Drift(center, velocity)
 
 
 def random_circles(seed: int, count: int = 20, reach: float = 0.030, diameters: tuple[float, float] = (0.008, 0.012),
                    free: float = 0.010, gap: float = 0.003) -> tuple[Circle, ...]:
-    """Circles with centers uniform in ±reach, outside of `free` around the origin and `gap` apart (paper, ETH task).
+    """Random circles: centers uniform in ±reach, not within `free` of the origin, `gap` apart (paper, ETH task).
 
-    seed fixes them; lengths in m. Raises ValueError when no room is found for that many.
+    The seed fixes them. Lengths are in m. Raises ValueError when there is no room for that many circles.
     """
     covered, room = count * np.pi * (diameters[0] + gap)**2 / 4, (2 * reach + diameters[1] + gap)**2
     rng, most = np.random.default_rng(seed), 0
-    for _ in range(500 if covered < room else 0):  # a set that leaves no room for the last circles is drawn anew
+    for _ in range(500 if covered < room else 0):  # a set that leaves no room for its last circles is drawn again
         centers, radii = np.empty((0, 2)), np.empty(0)
         for _ in range(2000):
             center, radius = rng.uniform(-reach, reach, 2), 0.5 * rng.uniform(*diameters)
@@ -103,5 +103,5 @@ def random_circles(seed: int, count: int = 20, reach: float = 0.030, diameters: 
             if len(radii) == count:
                 return tuple(Circle(center, float(radius)) for center, radius in zip(centers, radii))
         most = max(most, len(radii))
-    raise ValueError(f"found room for {most} circles of {count} with seed {seed}; ask for fewer, smaller or a larger "
-                     "reach")
+    raise ValueError(f"seed {seed} leaves room for {most} circles; expected {count}. Ask for fewer or smaller circles, "
+                     "or increase reach")

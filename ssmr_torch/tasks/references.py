@@ -1,4 +1,4 @@
-"""Tasks: what the robot shall trace, as displacement from rest over time."""
+"""A task: the path that the robot shall trace, as displacement from rest over time, and the usual paths."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from ssmr_torch.tasks.obstacles import Circle, HalfPlane
 class Task(DataSheet):
     """A reference path for some outputs of a robot.
 
-    path: times (K,) s in [0, duration] → (K, q) m relative to rest.   duration: s; before 0 and after it the
-    reference stands still.   tracked: the q outputs by index, or by name where the robot's names are known.
-    obstacles: `Circle`s and `HalfPlane`s that the tracked outputs must keep out of.
-    A task can be copied; it can be pickled unless its path is a lambda or a function made inside another one.
-    Raises ValueError for a duration that is not positive, tracked outputs that repeat, or obstacles over more outputs
-    than are tracked.
+    path: times (K,) s in [0, duration] → (K, q) m relative to rest.   duration: s; the reference stands still before
+    time 0 and after the duration.   tracked: the q outputs, by index or by name; names need a robot with output names.
+    obstacles: `Circle`s and `HalfPlane`s that the tracked outputs must not enter.
+    A task can be copied. It can be pickled unless its path is a lambda or a function made inside another function.
+    Raises ValueError for a duration that is not positive, for tracked outputs that repeat, and for obstacles over more
+    outputs than are tracked.
 
     >>> figure_eight(tracked=["tip_x", "tip_y"])
     Task 'figure eight': 10.4 s
@@ -47,11 +47,11 @@ class Task(DataSheet):
             raise ValueError(f"task {self.name!r} lasts {self.duration} s; expected a positive time")
         if not self.tracked or len(set(self.tracked)) != len(self.tracked):
             raise ValueError(f"task {self.name!r} tracks {self.tracked}; "
-                             "expected at least one output, each once")
+                             "expected at least one output, and each output only once")
         for obstacle in self.obstacles:
             needed = 2 if isinstance(obstacle, Circle) else len(obstacle.normal)
             if needed > len(self.tracked):
-                raise ValueError(f"an obstacle of task {self.name!r} lies in {needed} tracked outputs; the task tracks "
+                raise ValueError(f"an obstacle of task {self.name!r} needs {needed} tracked outputs; the task tracks "
                                  f"{len(self.tracked)}")
 
     def __getstate__(self) -> dict:
@@ -62,7 +62,7 @@ class Task(DataSheet):
         return replace(self, path=deepcopy(self.path, memo), obstacles=deepcopy(self.obstacles, memo))
 
     def reference(self, time: np.ndarray) -> np.ndarray:
-        """(K,) s → (K, q) m. Raises ValueError when the path returns another shape."""
+        """The path at times (K,) s, (K, q) m. Raises ValueError when the path returns another shape."""
         time = np.asarray(time, dtype=np.float64)
         time = np.minimum(np.maximum(time if time.ndim else time[None], 0.0), self.duration)
         reference = np.asarray(self.path(time), dtype=np.float64)
@@ -82,7 +82,7 @@ class Task(DataSheet):
             "obstacles": len(self.obstacles) or "none"}
 
     def columns(self, output_names: Sequence[str] | None = None) -> tuple[int, ...]:
-        """Indices of the tracked outputs. Raises ValueError for one that the robot does not have."""
+        """Indices of the tracked outputs. Raises ValueError for an output that the robot does not have."""
         columns = []
         for output in self.tracked:
             if isinstance(output, str):
@@ -98,9 +98,9 @@ class Task(DataSheet):
 def figure_eight(amplitude: float = 0.015, angular_speed: float = 4.0, laps: float = 6.0, ramp: float = 1.0,
                  tracked: Sequence[int | str] = (0, 1), name: str = "figure eight",
                  obstacles: Sequence | None = None) -> Task:
-    """(−a sin θ, a sin 2θ), 9.4294 a long per lap, from and to rest; θ is that of `ramped_phase`.
+    """(−a sin θ, a sin 2θ), 9.4294 a long per lap; it starts and ends at rest. θ is the phase of `ramped_phase`.
 
-    amplitude a in m; angular_speed in rad/s (the paper's are 0.2 and 4); ramp in s; laps may be a fraction; obstacles
+    amplitude a in m; angular_speed in rad/s (the paper uses 0.2 and 4); ramp in s; laps may be a fraction; obstacles
     as in `Task`.
     """
     phase, duration = ramped_phase(2 * np.pi * laps, angular_speed, ramp)
@@ -110,7 +110,9 @@ def figure_eight(amplitude: float = 0.015, angular_speed: float = 4.0, laps: flo
 def circle(amplitude: float = 0.010, angular_speed: float = 4.0, laps: float = 6.0, ramp: float = 1.0,
            tracked: Sequence[int | str] = (1, 2), name: str = "circle",
            obstacles: Sequence | None = None) -> Task:
-    """(a sin θ, a − a cos θ), a circle through the rest position, from and to rest; arguments as above."""
+    """(a sin θ, a − a cos θ), a circle through the rest position, which starts and ends at rest. Arguments: see
+    `figure_eight`.
+    """
     phase, duration = ramped_phase(2 * np.pi * laps, angular_speed, ramp)
     return Task(name, duration, tuple(tracked), CirclePath(amplitude, phase), obstacles)
 
@@ -118,9 +120,10 @@ def circle(amplitude: float = 0.010, angular_speed: float = 4.0, laps: float = 6
 def rose(amplitude: float = 0.015, petals: int = 3, angular_speed: float = 2.0, laps: float = 2.0, ramp: float = 5.0,
          tracked: Sequence[int | str] = (0, 1), name: str = "rose",
          obstacles: Sequence | None = None) -> Task:
-    """a sin(p θ) (cos θ, sin θ), an odd number p of petals in half a turn of θ, from and to rest; arguments as above.
+    """a sin(p θ) (cos θ, sin θ), a rose with p petals, which starts and ends at rest. Arguments: see `figure_eight`.
 
-    The long ramps give it slow and fast parts: a task to tune a controller on that none of the paper's repeats.
+    p is odd; half a turn of θ draws all petals. The long ramps give slow and fast parts. The paper has no such task, so
+    a controller can be tuned on it and then be tested on the paper's tasks.
     Raises ValueError for an even number of petals.
     """
     if petals % 2 != 1 or petals < 1:
@@ -130,10 +133,10 @@ def rose(amplitude: float = 0.015, petals: int = 3, angular_speed: float = 2.0, 
 
 
 def path(times, points, outputs: Sequence[int | str], *, name: str = "path", obstacles=()) -> Task:
-    """A path of one's own, straight between its points and held at the last one: y(t_i) = points[i].
+    """A path through your own points, straight between them and held at the last one: y(t_i) = points[i].
 
-    times (T,) s, increasing, the first zero or later; points (T, q) m, relative to rest, one column for each of the q
-    `outputs`, which are names or indices; obstacles as in `Task`.
+    times: (T,) s, increasing, the first at zero or later.   points: (T, q) m, relative to rest, one column for each of
+    the q `outputs`.   outputs: names or indices.   obstacles: as in `Task`.
     Raises ValueError for times that do not increase, sizes that disagree, or numbers that are not finite.
 
     >>> there = path([0.0, 1.0, 3.0], [[0.0, 0.0], [0.01, 0.0], [0.01, 0.02]], outputs=["tip_x", "tip_y"])
@@ -144,13 +147,13 @@ def path(times, points, outputs: Sequence[int | str], *, name: str = "path", obs
     """
     times, points = np.array(times, dtype=np.float64), np.array(points, dtype=np.float64)
     if times.ndim != 1 or points.shape != (len(times), len(outputs)):
-        raise ValueError(f"a path with times of shape {times.shape} and points of shape {points.shape} for "
+        raise ValueError(f"a path has times of shape {times.shape} and points of shape {points.shape} for "
                          f"{len(outputs)} outputs {list(outputs)}; expected (T,) and (T, {len(outputs)})")
     if not (np.isfinite(times).all() and np.isfinite(points).all()):
-        raise ValueError("a path with times or points that are not finite; expected s and m")
+        raise ValueError("a path has times or points that are not finite; expected finite numbers in s and m")
     if len(times) < 2 or times[0] < 0 or (np.diff(times) <= 0).any():
-        raise ValueError(f"the {len(times)} times of a path run from {times[:1].tolist()} to {times[-1:].tolist()} s; "
-                         "expected two or more that increase, the first zero or later")
+        raise ValueError(f"a path has {len(times)} times, from {times[:1].tolist()} to {times[-1:].tolist()} s; "
+                         "expected two or more, increasing, the first at zero or later")
     return Task(name, float(times[-1]), tuple(outputs), Polyline(times, np.asfortranarray(points)),
                 obstacles)
 
@@ -158,14 +161,14 @@ def path(times, points, outputs: Sequence[int | str], *, name: str = "path", obs
 def ramped_phase(total: float, speed: float, ramp: float) -> tuple[RampedPhase, float]:
     """A phase θ(t) from 0 to `total`, three times continuously differentiable, and its duration in s.
 
-    dθ/dt rises to `speed` over `ramp` s along 6 s⁵ − 15 s⁴ + 10 s³, s = t / ramp, stays, and falls alike.
-    Raises ValueError when the two ramps alone go further than `total`.
+    dθ/dt rises to `speed` over `ramp` s as 6 s⁵ − 15 s⁴ + 10 s³ with s = t / ramp, stays there, and falls the same way.
+    Raises ValueError when the two ramps alone cover more than `total`.
     """
     if not (total > 0 and speed > 0 and ramp >= 0):
         raise ValueError(f"total is {total}, speed {speed} and ramp {ramp} s; "
-                         "expected positive numbers, the ramp zero or more")
+                         "expected a positive total and speed, and a ramp of zero or more")
     if speed * ramp > total:
-        raise ValueError(f"speeding up and slowing down in {ramp} s each covers {speed * ramp:.4g}, "
-                         f"more than the {total:.4g} in all; shorten the ramp or add laps")
+        raise ValueError(f"the two ramps of {ramp} s cover {speed * ramp:.4g}, "
+                         f"more than the total of {total:.4g}; shorten the ramp or add laps")
     duration = total / speed + ramp
     return RampedPhase(total, speed, ramp, duration), duration

@@ -1,4 +1,4 @@
-"""Letters and symbols as tasks: the tip draws an outline at constant speed, from rest and back to it."""
+"""Tasks that draw letters and symbols: the tip follows an outline at constant speed, from rest and back to rest."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from ssmr_torch.extras import require
 from ssmr_torch.tasks.curves import Polyline
 from ssmr_torch.tasks.references import Task, ramped_phase
 
-ARC_STEPS = 1440  # straight pieces of pacman's arc, whose length is then right to 1e-6
+ARC_STEPS = 1440  # straight pieces of pacman's arc; its length is then accurate to 1e-6
 
 
 def symbol(text: str = "S", half_size: float = 0.020, duration: float = 10.0, ramp: float = 1.0,
            tracked: Sequence[int | str] = ("tip_x", "tip_y"), font: str | None = None,
            name: str | None = None, obstacles: Sequence | None = None) -> Task:
-    """The outlines of a text, one after the other, at the one speed of `constant_speed`.
+    """The outlines of a text, one after the other, all at the speed of `constant_speed`.
 
-    The pen is never lifted: it closes each curve of `contours` and goes straight to the next, as fast as it draws.
-    Scaled by one number until the longer side of the box around the text is 2 half_size, and centred on rest.
-    half_size in m; duration in s, the ways from and to rest included; ramp in s; font: a .ttf or .otf file (extra
-    plots), by default the package's outlines of DejaVu Sans, of Latin-1; name: the text by default.
-    Raises ValueError for a size that is not positive, and as `contours` and `constant_speed` do.
+    The tip draws all the time: it closes each curve of `contours` and goes straight to the next at the same speed.
+    One factor scales the text, so that the longer side of the box around it is 2 half_size; its centre is at rest.
+    half_size in m; duration in s, with the ways from rest and back; ramp in s; font: a .ttf or .otf file (needs the
+    extra `plots`), by default the outlines of DejaVu Sans in the package (Latin-1); name: by default the text.
+    Raises ValueError for a size that is not positive, and where `contours` and `constant_speed` do.
     """
     if not (np.isfinite(half_size) and half_size > 0):
-        raise ValueError(f"the letters reach {half_size} m from their centre; expected a positive half_size in m")
+        raise ValueError(f"half_size is {half_size} m; expected a positive length in m, half of the text's longer side")
     corners = np.concatenate(contours(text, font))
     low, high = corners.min(axis=0), corners.max(axis=0)
     corners = (corners - (low + high) / 2) * (2 * half_size / (high - low).max())
@@ -38,16 +38,16 @@ def symbol(text: str = "S", half_size: float = 0.020, duration: float = 10.0, ra
 def pacman(radius: float = 0.020, mouth: float = 1.0471976, duration: float = 10.0, ramp: float = 1.0,
            tracked: Sequence[int | str] = ("tip_x", "tip_y"), name: str = "pacman",
            obstacles: Sequence | None = None) -> Task:
-    """A disc around rest that opens its mouth towards +x, (2 + 2π − mouth) radius long, from and to its centre.
+    """A disc around rest with a mouth open towards +x, (2 + 2π − mouth) radius long, from its centre and back to it.
 
-    radius in m; mouth, the angle between the two straight edges, in rad; duration and ramp in s.
-    Raises ValueError for a radius that is not positive or a mouth outside (0, 2π), and as `constant_speed` does.
+    radius in m; mouth: the angle between the two straight edges, in rad; duration and ramp in s.
+    Raises ValueError for a radius that is not positive, a mouth outside (0, 2π), and where `constant_speed` does.
     """
     if not (np.isfinite(radius) and radius > 0):
         raise ValueError(f"pacman's radius is {radius} m; expected a positive length in m")
     if not 0 < mouth < 2 * np.pi:
-        raise ValueError(f"pacman's mouth opens by {mouth} rad; expected more than 0 and less than 2π = 6.283, "
-                         "for 60 degrees 1.0472")
+        raise ValueError(f"pacman's mouth is {mouth} rad; expected more than 0 and less than 2π = 6.283 "
+                         "(60 degrees are 1.0472)")
     angle = np.linspace(mouth / 2, 2 * np.pi - mouth / 2, ARC_STEPS + 1)
     corners = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return constant_speed(corners, duration, ramp, tracked, name, obstacles)
@@ -55,19 +55,19 @@ def pacman(radius: float = 0.020, mouth: float = 1.0471976, duration: float = 10
 
 def constant_speed(corners: np.ndarray, duration: float, ramp: float, tracked: Sequence[int | str],
                    name: str, obstacles=()) -> Task:
-    """Straight from rest through corners (n, 2) m and straight back to rest, at |v| = length / (duration − ramp).
+    """A path from rest straight through corners (n, 2) m and back to rest, at the speed length / (duration − ramp).
 
-    The arc length is the phase of `ramped_phase`: along the path, position, velocity and acceleration are
-    continuous; at a corner the direction jumps. Speeding up takes |v| ramp / 2 of the way, slowing down as much:
-    corners nearer to rest than that are passed more slowly.   duration, of the whole, and ramp in s.
+    The arc length is the phase of `ramped_phase`. Position, speed and acceleration along the path are continuous; the
+    direction jumps at a corner. Speeding up takes speed · ramp / 2 of the length, and slowing down the same, so that
+    corners nearer to rest are passed more slowly.   duration: s, of the whole path.   ramp: s.
     Raises ValueError unless two outputs are tracked and both ramps fit into the duration.
     """
     if len(tracked) != 2:
-        raise ValueError(f"task {name!r} tracks {len(tracked)} outputs, {tuple(tracked)}; a drawing is plane: "
-                         "name two, such as (tip_x, tip_y)")
+        raise ValueError(f"task {name!r} tracks {len(tracked)} outputs, {tuple(tracked)}; a drawing needs exactly two, "
+                         "such as (tip_x, tip_y)")
     if not (np.isfinite(duration) and 0 <= 2 * ramp <= duration and duration > 0):
         raise ValueError(f"task {name!r} lasts {duration} s with ramps of {ramp} s; expected a positive duration "
-                         "and a ramp from zero to half of it: shorten the ramp or lengthen the duration")
+                         "and a ramp between zero and half of it: shorten the ramp or lengthen the duration")
     corners = np.concatenate([np.zeros((1, 2)), corners, np.zeros((1, 2))])
     steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     corners = corners[np.append(True, steps > 0)]
@@ -77,29 +77,29 @@ def constant_speed(corners: np.ndarray, duration: float, ramp: float, tracked: S
 
 
 def contours(text: str, font: str | None = None, steps: int = 64) -> list[np.ndarray]:
-    """The closed curves (n, 2) around the text's glyphs and their holes, in font units, y up; last point = first.
+    """The closed curves (n, 2) around the text's glyphs and their holes, in font units, y up; last point = first point.
 
-    The glyphs stand side by side by their advance widths, without kerning. Each Bézier curve of the font becomes
+    The glyphs stand side by side at their advance widths, without kerning. Each Bézier curve of the font becomes
     `steps` straight pieces, which shortens it by a share of order 1 / steps².
-    Raises FileNotFoundError without the font; ModuleNotFoundError for a font without fontTools; ValueError for a file
-    that is none, for a character that it lacks, for no steps and for a text that leaves nothing to draw.
+    Raises FileNotFoundError for a missing font file, ModuleNotFoundError where fontTools is needed and missing, and
+    ValueError for a file that is not a font, a missing character, no steps, and a text with nothing to draw.
     """
     if not isinstance(text, str) or steps < 1:
-        raise ValueError(f"the text is {text!r} and a curve has {steps} steps; expected a string (quote a number) "
-                         "and at least 1")
+        raise ValueError(f"the text is {text!r} and steps is {steps}; expected a string (quote a number) "
+                         "and 1 step or more")
     glyphs = dict(_package_glyphs(text, steps) if font is None else _font_glyphs(text, Path(font), steps))
     missing = sorted(set(text) - set(glyphs))
     if missing:
         whose = "the package's DejaVu Sans" if font is None else Path(font).name
         raise ValueError(f"{whose} has no glyph for {', '.join(map(repr, missing))} of the text {text!r}; leave them "
-                         "out or give font, a .ttf or .otf file that has them")
+                         "out, or give a font (.ttf or .otf file) that has them")
     curves, advance = [], 0.0
     for character in text:
         drawn, width = glyphs[character]
         curves += [curve + (advance, 0.0) for curve in drawn]
         advance += width
     if not curves:
-        raise ValueError(f"the text {text!r} leaves nothing to draw; give at least one letter")
+        raise ValueError(f"the text {text!r} has nothing to draw; give at least one letter")
     return curves
 
 
@@ -107,7 +107,7 @@ Glyph = tuple[str, tuple[list[np.ndarray], float]]  # a character, its closed co
 
 
 def _package_glyphs(text: str, steps: int) -> Iterator[Glyph]:
-    """Those of the text's characters of which the package has outlines (experiments/fonts/make_outlines.py)."""
+    """The characters of the text for which the package has outlines (experiments/fonts/make_outlines.py)."""
     fractions = np.arange(1, steps + 1)[:, None] / steps
     for line in files("ssmr_torch.tasks").joinpath("dejavu_sans.txt").read_text(encoding="utf-8").splitlines():
         if line[1:2] != "\t" or line[0] not in text:
@@ -123,12 +123,12 @@ def _package_glyphs(text: str, steps: int) -> Iterator[Glyph]:
 
 
 def _font_glyphs(text: str, file: Path, steps: int) -> Iterator[Glyph]:
-    """Those of the text's characters that the font has."""
+    """The characters of the text that the font has."""
     if not file.is_file():
-        raise FileNotFoundError(f"there is no font {file}; give a .ttf or .otf file, or leave the font out for "
+        raise FileNotFoundError(f"there is no font file {file}; give a .ttf or .otf file, or leave font out to use "
                                 "the package's DejaVu Sans")
     require("fontTools")
-    # Only here: neither a controller nor another task shall have to wait for fontTools.
+    # Imported only here, so that a controller and other tasks do not load fontTools.
     from fontTools.ttLib import TTFont, TTLibError
 
     try:
@@ -169,13 +169,13 @@ def _flattened(glyph, glyphs, steps: int) -> list[np.ndarray]:
 
 
 def _closed(drawn: Sequence) -> list[np.ndarray]:
-    """Each contour with its first point at the end as well; a contour of one point is none."""
+    """Each contour with its first point repeated at the end. A contour of a single point is dropped."""
     closed = [np.array([*contour, contour[0]], dtype=np.float64) for contour in drawn]
     return [contour for contour in closed if np.ptp(contour, axis=0).any()]
 
 
 def _bezier(t: np.ndarray, *controls: Sequence[float]) -> np.ndarray:
-    """De Casteljau: the curve with these control points at t (n, 1) → (n, 2)."""
+    """The Bézier curve with these control points at t (n, 1), (n, 2), by De Casteljau's algorithm."""
     points = [np.asarray(point, dtype=np.float64) for point in controls]
     while len(points) > 1:
         points = [(1 - t) * start + t * end for start, end in zip(points, points[1:])]

@@ -195,7 +195,7 @@ def test_a_viewer_that_does_not_open_or_is_slow_ends_the_view_too(rerun, monkeyp
     assert len(caplog.messages) == 1 and "patience" in caplog.messages[0]
 
 
-def test_a_viewer_is_opened_here_or_found_by_its_address(rerun, monkeypatch):
+def test_the_view_opens_a_viewer_or_connects_to_its_address(rerun, monkeypatch):
     """The viewer installed beside this Python is found, whether or not its environment is activated."""
     opened, path = [], os.environ["PATH"]
     monkeypatch.setattr(rerun.RecordingStream, "spawn",
@@ -207,7 +207,7 @@ def test_a_viewer_is_opened_here_or_found_by_its_address(rerun, monkeypatch):
     assert os.environ["PATH"] == path
 
 
-def test_missing_measurements_and_plans_that_ran_away_are_passed_over(logged, tmp_path, caplog):
+def test_missing_measurements_and_diverged_plans_are_not_shown(logged, tmp_path, caplog):
     with caplog.at_level(logging.WARNING), RerunView(TASK, Plant(), tmp_path, recording="loop.rrd") as view:
         plan = Plan(np.nan)
         view(0.0, np.zeros(2), np.zeros(3), np.full(3, np.nan), Command(np.zeros(3), plan), 1e-3)
@@ -218,7 +218,7 @@ def test_missing_measurements_and_plans_that_ran_away_are_passed_over(logged, tm
     assert np.isfinite(positions).all() and len(positions) == 3
 
 
-def test_a_recording_that_cannot_be_completed_costs_no_record(rerun, monkeypatch, tmp_path, caplog):
+def test_a_recording_that_cannot_be_completed_does_not_lose_the_record(rerun, monkeypatch, tmp_path, caplog):
     def broken(self):
         raise RuntimeError("disk full")
 

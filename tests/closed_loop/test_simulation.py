@@ -101,7 +101,7 @@ def test_noise_reaches_the_controller_and_not_the_recorded_position_and_is_fixed
     np.testing.assert_allclose(moved, 0.01 * records[0].input[:-1], rtol=0, atol=1e-15)
 
 
-def test_a_record_keeps_where_the_robot_was_apart_from_what_a_late_sensor_said():
+def test_a_record_holds_the_true_position_beside_the_late_measurement():
     plant, controller = Rig(Plant(), sensor_delay=0.03), Proportional(TASK)
     record = simulate(plant, controller, TASK)
     np.testing.assert_array_equal(record.measurement[3:], record.observation[:-3])
@@ -111,14 +111,14 @@ def test_a_record_keeps_where_the_robot_was_apart_from_what_a_late_sensor_said()
     assert record.provenance["plant"] == "integrator on a rig"
 
 
-def test_the_noise_of_a_rig_and_of_the_simulation_add_up_without_being_alike():
+def test_the_noise_of_the_rig_and_of_the_simulation_add_up_and_are_independent():
     task = Task("long", 20.0, ("x", "y"), TASK.reference)
     record = simulate(Rig(Plant(), noise_std=1e-3), Proportional(task), task, noise_std=1e-3)
     noise = record.measurement - record.observation
     assert noise.std() == pytest.approx(np.sqrt(2) * 1e-3, abs=4 * np.sqrt(2) * 1e-3 / np.sqrt(2 * noise.size))
 
 
-def test_commands_are_recorded_as_given_whatever_the_actuators_make_of_them():
+def test_commands_are_recorded_as_given_and_not_as_the_actuators_apply_them():
     plant = Rig(Plant(), actuator_lag=0.05, rate_limit=0.3)
     record = simulate(plant, Proportional(TASK), TASK)
     np.testing.assert_allclose(record.input, -2.0 * record.error, rtol=0, atol=1e-15)
@@ -151,7 +151,7 @@ def test_model_predictive_control_reaches_the_set_point_of_a_mismatched_plant():
     assert {status for status, h in zip(record.statuses, held) if not h} <= {"SOLVED", "ITERATION_LIMIT"}
 
 
-def test_a_record_survives_its_file(tmp_path):
+def test_a_record_is_the_same_after_saving_and_loading(tmp_path):
     record = simulate(Plant(), Proportional(TASK), TASK, noise_std=1e-4, provenance={"commit": "abc"})
     loaded = ClosedLoopRecord.load(record.save(tmp_path / "deep" / "run.h5"))
     for name, value in vars(record).items():
@@ -174,13 +174,13 @@ def test_another_file_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("which", ["plant", "controller", "task"])
-def test_what_is_no_plant_controller_or_task_is_refused_with_what_it_lacks(which):
+def test_a_wrong_plant_controller_or_task_is_refused_with_the_missing_attributes(which):
     given = {"plant": Plant(), "controller": Proportional(TASK), "task": TASK} | {which: "trunk"}
-    with pytest.raises(TypeError, match=f"the {which} is str, which has no .*; expected a {which}"):
+    with pytest.raises(TypeError, match=f"the {which} is a str, which has no .*; expected a {which}"):
         simulate(*given.values())
 
 
-def test_a_period_that_the_plant_cannot_keep_is_refused():
+def test_a_control_period_that_is_no_multiple_of_the_timestep_is_refused():
     controller = Proportional(TASK)
     controller.period = 0.015
     with pytest.raises(ValueError, match="0.015 s and the plant's timestep 0.01 s, 1.5 times"):

@@ -9,8 +9,8 @@ from matplotlib.collections import PolyCollection
 from PIL import Image
 
 from ssmr_torch.evaluation import figures, robot_figures
-from ssmr_torch.evaluation.report import Picture
 from ssmr_torch.evaluation.robot_figures import HANGING, STANDING, Camera, robot_animation, robot_stills
+from ssmr_torch.report.html_page import Picture
 
 LENGTH = 0.195
 TIME = 0.02 * np.arange(301)

@@ -10,9 +10,9 @@ import pytest
 
 from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.evaluation import figures
-from ssmr_torch.evaluation.report import Picture, Table, write_report
 from ssmr_torch.paper.published_numbers import FIGURES
 from ssmr_torch.paper.report_sections import read_results, report_sections
+from ssmr_torch.report.html_page import Picture, Table, write_report
 from ssmr_torch.tasks.obstacles import random_circles
 
 METHODS = ("SSMR", "SSSR", "DMD", "EDMD", "static pregain", "TPWL", "neural ODE", "control-augmented SSMR")

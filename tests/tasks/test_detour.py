@@ -1,4 +1,4 @@
-"""Claims about references that are led round obstacles."""
+"""Claims about references that are led around obstacles."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from ssmr_torch.tasks.obstacles import Circle, drifting, random_circles
 from ssmr_torch.tasks.references import path
 from ssmr_torch.tasks.symbols import symbol
 
-# two circles that overlap across the way: a pocket that opens towards where the reference comes from
+# Two circles overlap in front of the robot: a pocket that is open towards the start of the reference.
 POCKET = (Circle((0.008, 0.003), 0.0035), Circle((0.008, -0.003), 0.0035), Circle((0.006, 0.0075), 0.002))
 
 
@@ -22,7 +22,7 @@ def across(obstacles, duration=3.0):
                 outputs=(0, 1), obstacles=obstacles)
 
 
-def test_the_way_round_one_circle_is_the_shortest_that_keeps_the_clearance():
+def test_the_detour_around_one_circle_is_the_shortest_that_keeps_the_clearance():
     task = across((Circle((0.008, 0.0005), 0.004),))
     led = detour(task, 0.001).reference(np.linspace(0.0, 3.0, 3001))
     distance = np.linalg.norm(led - [0.008, 0.0005], axis=1)
@@ -33,7 +33,7 @@ def test_the_way_round_one_circle_is_the_shortest_that_keeps_the_clearance():
     assert length == pytest.approx(0.016 - chord + 0.005 * (np.pi - 2 * np.arcsin(0.1)), rel=5e-3)
 
 
-def test_a_reference_stays_as_it_is_where_it_is_clear_and_is_clear_everywhere_after():
+def test_a_detour_changes_only_the_parts_near_obstacles_and_is_clear_everywhere():
     for seed in range(3):
         task = symbol("ETH", tracked=(0, 1), obstacles=random_circles(seed))
         time = np.linspace(0.0, task.duration, 10001)
@@ -44,7 +44,7 @@ def test_a_reference_stays_as_it_is_where_it_is_clear_and_is_clear_everywhere_af
         assert after.min() > 0.001 - 2e-5 and clear.min() < -0.003  # straight between the samples of the reference
 
 
-def test_a_robot_that_a_pocket_holds_arrives_when_its_reference_is_led_round(bench):
+def test_a_robot_caught_between_two_circles_arrives_when_it_follows_the_detour(bench):
     task, ends = across(POCKET), []
     for given in (task, detour(task, 0.0005)):
         plant = bench.ModelPlant(bench.oscillators(), np.array([[0.0] * 4, [1.2] * 4]))
@@ -63,16 +63,16 @@ def test_ends_inside_an_obstacle_are_moved_to_the_nearest_point_outside():
     assert np.linalg.norm(start) == pytest.approx(0.002, rel=0.01)
 
 
-def test_where_there_is_no_way_the_time_is_said():
+def test_a_detour_that_does_not_exist_is_refused_with_its_time():
     angles = np.linspace(0.0, 2 * np.pi, 13)[:-1]
     wall = [Circle(0.008 * np.array([np.cos(a), np.sin(a)]) + [0.016, 0.0], 0.003) for a in angles]
-    with pytest.raises(ValueError, match=r"inside an obstacle from 0\.\d+ to .* s, and no way round keeps 0 mm"):
+    with pytest.raises(ValueError, match=r"inside an obstacle from 0\.\d+ to .* s, and no way around it keeps a clearance of 0 mm"):
         detour(across(wall))
     with pytest.raises(ValueError, match="clearance is -1.0 m"):
         detour(across(wall), -1.0)
 
 
-def test_what_moves_is_left_to_the_controller_and_other_outputs_keep_their_reference():
+def test_a_detour_ignores_moving_circles_and_keeps_the_reference_of_other_outputs():
     moving = Circle(drifting((0.008, 0.0), (0.0, 0.001)), 0.003)
     task = across((moving,))
     assert detour(task, 0.001) is task

@@ -50,7 +50,7 @@ def test_between_the_ramps_the_figure_eight_is_its_formula():
     np.testing.assert_allclose(task.reference(time), expected, rtol=0, atol=1e-15)
 
 
-def test_the_circle_is_one_and_passes_through_rest():
+def test_the_circle_is_round_and_passes_through_rest():
     task = circle(amplitude=0.01)
     path = task.reference(np.linspace(0, task.duration, 500))
     np.testing.assert_allclose(np.hypot(path[:, 0], path[:, 1] - 0.01), 0.01, rtol=1e-12)
@@ -94,10 +94,10 @@ def test_tracked_outputs_are_found_by_name_or_index():
             figure_eight(tracked=tracked).columns(names)
 
 
-def test_a_task_without_meaning_is_refused():
+def test_a_task_with_wrong_duration_outputs_path_or_ramp_is_refused():
     with pytest.raises(ValueError, match="positive time"):
         Task("none", 0.0, (0,), np.zeros_like)
-    with pytest.raises(ValueError, match="each once"):
+    with pytest.raises(ValueError, match="each output only once"):
         Task("twice", 1.0, (0, 0), np.zeros_like)
     with pytest.raises(ValueError, match="one row per time"):
         Task("flat", 1.0, (0, 1), np.zeros_like).reference([0.0, 1.0])

@@ -43,7 +43,7 @@ def circle_font(tmp_path):
 
 
 @pytest.mark.parametrize("task", EXAMPLES.values(), ids=EXAMPLES)
-def test_the_drawing_starts_and_ends_at_rest_standing_still(task):
+def test_the_drawing_starts_and_ends_at_rest_with_speed_zero(task):
     np.testing.assert_array_equal(task.reference([0.0, task.duration, task.duration + 1.0]), 0.0)
     for end, side in ((0.0, 1), (task.duration, -1)):
         assert np.abs(task.reference(end + side * 1e-3)).max() < 1e-9
@@ -156,7 +156,7 @@ def test_a_text_that_cannot_be_drawn_is_refused(tmp_path):
             symbol(text)
     with pytest.raises(ValueError, match="quote a number"):
         symbol(8)
-    with pytest.raises(ValueError, match="0 steps"):
+    with pytest.raises(ValueError, match="steps is 0"):
         contours("S", steps=0)
     with pytest.raises(FileNotFoundError, match="none.ttf; give a .ttf or .otf file"):
         symbol(font=str(tmp_path / "none.ttf"))
@@ -166,19 +166,19 @@ def test_a_text_that_cannot_be_drawn_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(("build", "message"), [
-    (lambda: symbol(half_size=0.0), "reach 0.0 m"),
-    (lambda: symbol(half_size=float("nan")), "reach nan m"),
+    (lambda: symbol(half_size=0.0), "half_size is 0.0 m"),
+    (lambda: symbol(half_size=float("nan")), "half_size is nan m"),
     (lambda: pacman(radius=-0.02), "radius is -0.02 m"),
-    (lambda: pacman(mouth=0.0), "opens by 0.0 rad"),
-    (lambda: pacman(mouth=60.0), "for 60 degrees 1.0472"),
+    (lambda: pacman(mouth=0.0), "mouth is 0.0 rad"),
+    (lambda: pacman(mouth=60.0), "60 degrees are 1.0472"),
     (lambda: symbol(duration=-1.0), "lasts -1.0 s"),
     (lambda: symbol(ramp=-1.0), "ramps of -1.0 s"),
     (lambda: symbol(duration=2.0, ramp=1.5), "shorten the ramp"),
     (lambda: symbol(tracked=("tip_x", "tip_y", "tip_z")), "tracks 3 outputs"),
     (lambda: pacman(tracked=("tip_x",)), "tracks 1 outputs"),
-    (lambda: pacman(tracked=("tip_x", "tip_x")), "each once"),
+    (lambda: pacman(tracked=("tip_x", "tip_x")), "each output only once"),
 ])
-def test_sizes_times_and_outputs_without_meaning_are_refused(build, message):
+def test_impossible_sizes_times_and_outputs_are_refused(build, message):
     with pytest.raises(ValueError, match=message):
         build()
 

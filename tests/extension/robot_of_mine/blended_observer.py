@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ssmr_torch.control.base import whole_steps
 from ssmr_torch.control.chart_estimator import ChartEstimator
+from ssmr_torch.periods import whole_steps
 
 
 class BlendedObserver:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from ssmr_torch.control.checked_measurement import BEYOND, RecordedRange, read
 from ssmr_torch.control.outlier_gate import MOST_IN_A_ROW, InnovationGate
+from ssmr_torch.control.sampling import BEYOND, RecordedRange, read
 
 
 @pytest.mark.parametrize("given", [

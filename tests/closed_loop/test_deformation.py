@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ssmr_torch.closed_loop import deformation
+from ssmr_torch.closed_loop.deformation import draw_robot, replayed_shapes
 from ssmr_torch.closed_loop.simulation import simulate
 from ssmr_torch.control.base import Command
-from ssmr_torch.evaluation import deformation
-from ssmr_torch.evaluation.deformation import draw_robot, replayed_shapes
 from ssmr_torch.evaluation.robot_figures import add_circles
 from ssmr_torch.plants.emulated_rig import Rig
 from ssmr_torch.plants.slow_manifold import SlowManifold

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ssmr_torch.control.clock import Interval, SampleClock, seconds
+from ssmr_torch.control.sampling import Interval, SampleClock, seconds
 
 
 def placed(*times, longest=5):

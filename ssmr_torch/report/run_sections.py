@@ -1,4 +1,4 @@
-"""The report's sections, made from what runs of the line left in their directories."""
+"""Sections of the report, made from the files that earlier runs wrote into their directories."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ from ssmr_torch.evaluation.measured_rollouts import predict_trajectory
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.evaluation.open_loop import OpenLoopScore
 from ssmr_torch.evaluation.predictors import BASELINES
-from ssmr_torch.evaluation.report import Picture, Section, Table
 from ssmr_torch.plants.emulated_rig import Rig
+from ssmr_torch.report.html_page import Picture, Section, Table
 
-# as many as there are colours for names without a fixed one
+# the number of colours for names without a fixed one
 PATHS_PER_FIGURE = len(figures.SPARE_COLOURS)
 
 
 def prediction_figures(models: Mapping[str, object], scores: Mapping[str, OpenLoopScore], runs: Sequence,
                        output_names: Sequence[str], outputs: Sequence[int], shown: float = 4.0) -> dict:
-    """Error over the horizon of all models that have colours, those of one's own naming up to six; and the first
-    `shown` s of each model's rollout over the longest controlled run, from the scores' common margin, of more than six
-    models the first.
+    """Two figures: the error over the horizon, and the first `shown` s of the rollouts over the longest controlled run.
+
+    The first shows all models that have a colour; names without a fixed colour are limited to six. The second shows
+    the first six models, from the common margin of the scores.
     """
     first = next(iter(scores.values()))
     named = [name for name in scores if figures.look(name) is None][PATHS_PER_FIGURE:]
@@ -50,10 +51,10 @@ def prediction_figures(models: Mapping[str, object], scores: Mapping[str, OpenLo
 
 
 def training_figures(report: Mapping[str, Mapping], plant: Sequence[tuple[float, float]] | None = None) -> dict:
-    """Singular values and eigenvalues of the fits that found them; singular values of zero are not drawn.
+    """Singular values and eigenvalues of all fits that computed them; singular values of zero are not drawn.
 
-    plant: real and imaginary part, 1/s, of the plant's own eigenvalues, where they are known; those no further out
-    than twice the fits' are drawn.
+    plant: real and imaginary parts, 1/s, of the plant's own eigenvalues, if they are known; those larger than twice the
+    fits' eigenvalues are not drawn.
     """
     drawn = {}
     for fit in report.values():
@@ -71,10 +72,10 @@ def training_figures(report: Mapping[str, Mapping], plant: Sequence[tuple[float,
 
 
 def collect_sections(directory: str | Path) -> list[Section]:
-    """Closed-loop records, open-loop scores and training reports found below a directory, as sections.
+    """Sections for the closed-loop records, open-loop scores and training reports below a directory.
 
-    Records of one task, plant, rig, noise and control period share a section, each with a row of its own.
-    Raises ValueError when there are none.
+    Records with the same task, plant, rig, noise and control period share a section, one row each.
+    Raises ValueError if there are none.
     """
     directory = Path(directory)
     alike: dict[tuple, dict[Path, ClosedLoopRecord]] = {}
@@ -85,21 +86,21 @@ def collect_sections(directory: str | Path) -> list[Section]:
     sections += [open_loop_section(path) for path in sorted(directory.rglob("scores.json"))]
     sections += [training_section(path) for path in sorted(directory.rglob("report.json"))]
     if not sections:
-        raise ValueError(f"nothing to report below {directory}: no record.h5, scores.json or report.json; "
-                         "run ssmr train, evaluate or control with hydra.run.dir below it")
+        raise ValueError(f"there is nothing to report below {directory}: no record.h5, scores.json or report.json. Run "
+                         "ssmr train, ssmr evaluate or ssmr control with hydra.run.dir below it")
     return sections
 
 
 def closed_loop_section(records: Sequence[ClosedLoopRecord], picture: Picture | None = None) -> Section:
-    """Tracking table, one row per record, a picture of the robot, and figures of the first six records.
+    """Tracking table with one row per record, a picture of the robot, and figures of the first six records.
 
-    Equal model names are numbered, and different seeds are shown. A record whose errors do not exist, as it broke
-    off or is too short, has an empty row and is not drawn; the text says why.
-    Raises ValueError when the records differ in task, plant, rig, noise or control period.
+    Equal model names are numbered, and different seeds are shown. A record without errors, because it stopped early or
+    is too short, has an empty row and is not drawn; the text says why.
+    Raises ValueError if the records differ in task, plant, rig, noise or control period.
     """
     if len({_setting(record) for record in records}) != 1:
-        raise ValueError(f"{len(records)} records of {len({_setting(r) for r in records})} settings (task, plant, "
-                         "rig, noise, control period); expected one, give each setting a section of its own")
+        raise ValueError(f"{len(records)} records with {len({_setting(r) for r in records})} different settings (task, "
+                         "plant, rig, noise, control period); expected equal settings in one section")
     origin = records[0].provenance
     runs = dict(zip(_unique(record.provenance.get("model", "model") for record in records), records))
     measured, missing = {}, []
@@ -112,7 +113,7 @@ def closed_loop_section(records: Sequence[ClosedLoopRecord], picture: Picture | 
     parts = [f"Task: {origin['task']}, {records[0].time[-1]:.1f} s, on the plant {origin['plant']}, "
              f"measured with white noise of {1e3 * origin['noise_std']:.3g} mm. The controller runs the exported "
              f"artifact and plans every {1e3 * origin['period']:g} ms. "
-             "Errors count from 1 s on; ISE is the sum of squared errors over the samples.",
+             "Errors count after the first second; ISE is the sum of squared errors over the samples.",
              *missing, *_first_of(len(drawn), len(measured), "runs"), _tracking_table(runs, measured)]
     settings = [[key, str(value)] for key, value in _plant_settings(records[0]).items() if key != "_target_"]
     table = [Table(["setting", "value"], settings, f"The {origin['plant']}, SI units.")] if settings else []
@@ -121,28 +122,28 @@ def closed_loop_section(records: Sequence[ClosedLoopRecord], picture: Picture | 
 
 
 def open_loop_section(path: Path) -> Section:
-    """Tables and figures of one evaluation: a table for each group of runs, where there are several."""
+    """Tables and figures of one evaluation, with one table per group of runs."""
     stored = json.loads(path.read_text())
     groups = stored.get("groups") or {}
     shown = groups if len(groups) > 1 else {"": stored["scores"]}
     split = ((stored.get("provenance") or {}).get("configuration") or {}).get("split")
     text = (f"Root mean square error of rollouts from measured starts, without correction, on the "
-            f"{split or 'whole'} set, at every sample of the recordings whatever a model's step; the starts are the "
-            "same for every model and never cross two runs. Only predicted samples count; a mean that holds a diverged "
-            "rollout is not shown. NMTE: mean error over the largest norm of the run. *: best, =: tied with it in a "
-            "paired bootstrap.")
+            f"{split or 'whole'} set, at every sample of the recordings for every model. The starts are the same for "
+            "every model, and no rollout crosses from one run into another. Only predicted samples count. A mean with "
+            "a diverged rollout is not shown. NMTE: mean error divided by the largest norm of the run. *: best; =: tie "
+            "with the best in a paired bootstrap.")
     tables = [_open_loop_table(scores, f"{name}: mean" if name else "Mean") for name, scores in shown.items()]
     scores = stored["scores"]
     starts = next((part["starts"] for score in scores.values() for part in score["horizons"] or []), 0)
     pictures = _stored_pictures(path, [
         ("error_over_horizon", "Mean error over the horizon.", f"{starts} starts", "mm"),
-        ("prediction", "A rollout from one start, beside the measurement.", "1 run", "mm")])
+        ("prediction", "A rollout from one start, and the measurement.", "1 run", "mm")])
     more = _first_of(PATHS_PER_FIGURE, len(scores.keys() - BASELINES.keys()), "models") if pictures else []
     return Section("Open loop", [text, *more, *tables, *pictures])
 
 
 def _open_loop_table(scores: Mapping[str, Mapping], beginning: str) -> Table:
-    """Of one group of runs: a row per model, and one below it for its score with the noise of the loop."""
+    """Table of one group of runs: a row per model, and a second one for its score with noise."""
     rows = [(name if each is score else f"{name}, noise {1e3 * each['noise']:.3g} mm", each)
             for name, score in scores.items() for each in (score, score.get("noisy")) if each]
     parts = [{part["label"]: part for part in each["horizons"] or []} for _, each in rows]
@@ -165,7 +166,7 @@ def _marked(value: float | None, mark: str | None) -> float | str | None:
 
 
 def training_section(path: Path) -> Section:
-    """What one fit found: scores, regressions, warnings, singular values, eigenvalues."""
+    """Section about one training: scores, regressions, warnings, singular values, eigenvalues."""
     stored = json.loads(path.read_text())
     fits = {key: value for key, value in stored.items() if key not in ("scores", "cost", "provenance")}
     scores = stored.get("scores") or {}
@@ -174,13 +175,13 @@ def training_section(path: Path) -> Section:
              values["ridge"], _times(100, values["relative_residual"])]
             for fit, report in fits.items() for regression, values in (report.get("regressions") or {}).items()]
     parts = [f"Open-loop error over the validation horizon: {'; '.join(errors) or 'none scored'}.",
-             *(f"Look here: {warning}" for report in fits.values() for warning in report.get("warnings") or [])]
+             *(f"Warning: {warning}" for report in fits.values() for warning in report.get("warnings") or [])]
     if rows:
         parts.append(Table(["regression", "rows", "features", "condition", "ridge", "residual (%)"], rows,
-                           "What determined the model."))
+                           "Regressions of the fit."))
     trained = (next(iter(fits.values()), {}).get("trajectories") or {}).items()
     runs = {"decay": "decays", "controlled": "controlled runs"}
-    # the fit's own rule: where there are no decays, the controlled runs stand in for them
+    # the rule of the fit: without decays, the controlled runs are used in their place
     kind, count = next(((runs[kind], count) for kind, count in trained if count), ("runs", 0))
     parts += _stored_pictures(path, [
         ("singular_values", f"Singular values of the windows of the {kind}, over the first.", f"{count} {kind}", "1"),
@@ -189,7 +190,7 @@ def training_section(path: Path) -> Section:
 
 
 def _setting(record: ClosedLoopRecord) -> tuple:
-    """What runs must share to be compared: task, plant, rig, noise, period, and the axes of their figures."""
+    """The settings that must be equal to compare runs: task, plant, rig, noise, period, and the axes of the figures."""
     origin = record.provenance
     return (*(origin[key] for key in ("task", "plant", "noise_std", "period")), record.tracked, record.output_names,
             record.input_names, record.input_unit, record.time.tobytes(), record.reference.tobytes(),
@@ -197,7 +198,7 @@ def _setting(record: ClosedLoopRecord) -> tuple:
 
 
 def _plant_settings(record: ClosedLoopRecord) -> dict:
-    """Of the plant all, of its rig those that are not off."""
+    """All settings of the plant, and those of its rig that are not off."""
     configured = record.provenance.get("configuration") or {}
     off = {name: parameter.default for name, parameter in signature(Rig).parameters.items()}
     rig = {f"rig {key}": value for key, value in (configured.get("rig") or {}).items()
@@ -206,7 +207,7 @@ def _plant_settings(record: ClosedLoopRecord) -> dict:
 
 
 def _unique(names: Iterable[str]) -> list[str]:
-    """The names, a repeated one numbered."""
+    """The names; repeated names get a number."""
     unique: list[str] = []
     for name in names:
         candidate, number = name, 2
@@ -234,7 +235,7 @@ def _tracking_pictures(runs: Mapping[str, ClosedLoopRecord]) -> list[Picture]:
     paths = {name: record.observation[:, list(record.tracked)] for name, record in runs.items()}
     if len(names) == 2:
         drawing = figures.tracking(first.time, first.reference, paths, names)
-        caption = "Path in the task's plane, and tracking error."
+        caption = "Path in the plane of the task, and tracking error."
     else:
         drawing = figures.prediction(first.time, first.reference,
                                      {name: (first.time, path) for name, path in paths.items()}, names, "reference")
@@ -253,17 +254,17 @@ def _tracking_pictures(runs: Mapping[str, ClosedLoopRecord]) -> list[Picture]:
 
 
 def _robot_picture(records: Mapping[Path, ClosedLoopRecord]) -> Picture | None:
-    """The stills beside the first record that has them."""
+    """The stills of the first record that has them in its directory."""
     for path, record in records.items():
-        caption = (f"The robot under {record.provenance.get('model', 'model')}, with its tip's path so far; "
-                   "pale: at rest.")
+        caption = (f"The robot controlled with {record.provenance.get('model', 'model')}, with the path of its tip so "
+                   "far; pale: the robot at rest.")
         if found := _stored_pictures(path, [("robot", caption, "5 instants of 1 run", "mm")]):
             return found[0]
     return None
 
 
 def _stored_pictures(path: Path, pictures: Sequence[tuple[str, str, str, str]]) -> list[Picture]:
-    """Those of (name, caption, count, unit) that lie beside the file."""
+    """The pictures (name, caption, count, unit) whose files are in the same directory."""
     return [Picture(path.with_name(f"{name}.svg"), *texts) for name, *texts in pictures
             if path.with_name(f"{name}.svg").is_file()]
 
@@ -273,7 +274,7 @@ def _first_of(shown: int, number: int, what: str) -> list[str]:
 
 
 def _error(split: str, scores: Mapping[str, float | None]) -> str:
-    """The mean error of a split; one that is not finite is stored as null."""
+    """Text with the mean error of a split; an error that is not finite is stored as null."""
     mean, diverged = scores[f"{split}/rmse"], scores.get(f"{split}/diverged")
     if mean is not None:
         return f"{split} {1e3 * mean:.4g} mm"

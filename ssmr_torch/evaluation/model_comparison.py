@@ -1,4 +1,4 @@
-"""Models of every kind at their best, side by side: tables by group of runs, what was chosen, and one figure."""
+"""`Comparison`: the result of `compare`, with tables by group of runs, the chosen form of each model, and a figure."""
 
 from __future__ import annotations
 
@@ -37,24 +37,26 @@ class Comparison:
 
     @cached_property
     def groups(self) -> dict[str, dict[str, OpenLoopScore]]:
-        """Scores by group and model, over the horizons that were asked for."""
+        """Scores by group and model, over the requested horizons."""
         return {group: {name: _without_full(score) for name, score in scores.items()}
                 for group, scores in self.found.groups.items()}
 
     def standing(self, name: str) -> dict[str, dict[str, str]]:
-        """By group and horizon: "*" where the model is best, "=" where it is tied with the best, else ""."""
+        """By group and horizon: "*" if the model is best, "=" if it is tied with the best, otherwise ""."""
         return {group: marks(scores)[name] for group, scores in self.groups.items()}
 
     def share_of_reach(self, name: str, group: str) -> float:
-        """Mean error over the longest horizon divided by the reach, no unit; infinite where a rollout diverged."""
+        """Mean error over the longest horizon divided by the reach, no unit; infinite if a rollout diverged."""
         return self.groups[group][name].horizons[-1].mean / self.reach
 
     def diverged(self, name: str) -> float:
-        """Largest share of diverged rollouts of any group and horizon."""
+        """Largest share of diverged rollouts in any group and horizon."""
         return max(_diverged(scores[name]) for scores in self.groups.values())
 
     def rows(self, group: str) -> list[list[str]]:
-        """Header, and a row per model: mean in mm and mark by horizon, share that diverged, % of reach, CPU time."""
+        """Header, and a row per model: mean in mm and mark by horizon, share of diverged rollouts, % of reach, CPU
+        time.
+        """
         scores = self.groups[group]
         parts = next(iter(scores.values())).horizons
         header = ["model", *(part.label for part in parts), "diverged", f"of reach, {parts[-1].label}", "fit (CPU)"]
@@ -78,7 +80,7 @@ class Comparison:
 
     @property
     def words(self) -> list[str]:
-        """What was chosen of each model, and what was refused, a line each."""
+        """One line per model: its chosen form, or why it was refused."""
         return [*(f"{name}: {each}" for name, each in self.chosen.items()),
                 *(f"{name} was refused: {why}" for name, why in self.refused.items())]
 
@@ -92,7 +94,7 @@ class Comparison:
 
     @property
     def markdown(self) -> str:
-        """The same for a page."""
+        """The same text as Markdown."""
         parts = []
         for group in self.groups:
             head, *body = self.rows(group)
@@ -102,13 +104,15 @@ class Comparison:
         return "\n\n".join(["# Models at their best", self.legend, *parts, "## What was chosen", chosen]) + "\n"
 
     def as_dict(self) -> dict:
-        """Plain JSON values, m and s; errors that are infinite are None."""
+        """Plain JSON values in m and s; infinite errors become None."""
         return stored(self.found) | {"reach": self.reach, "chosen": dict(self.chosen), "refused": dict(self.refused),
                                      "cpu": dict(self.cpu), "standing": {name: self.standing(name)
                                                                          for name in self.models}}
 
     def figure(self):
-        """Mean error over the horizon, both logarithmic, a line per model, over all runs behind `found.scores`."""
+        """Figure of the mean error over the horizon, both logarithmic, one line per model, for all runs of
+        `found.scores`.
+        """
         from ssmr_torch.evaluation import figures
 
         scores = {name: _without_full(score) for name, score in self.found.scores.items()}
@@ -117,12 +121,14 @@ class Comparison:
                                                      for name, score in scores.items()})
 
     def best_other(self, group: str, label: str, name: str) -> str:
-        """The model of the lowest mean error beside `name`, baselines that predict nothing aside."""
+        """The model with the lowest mean error except `name`, persistence and constant velocity."""
         others = [each for each in self.models if each != name]
         return min(others, key=lambda each: self.groups[group][each][label].mean)
 
     def behind(self, name: str) -> dict[str, list[str]]:
-        """By group the horizons at which the model is neither best nor tied; groups of too few starts to tell aside."""
+        """By group, the horizons at which the model is neither best nor tied. Groups with too few starts to decide are
+        left out.
+        """
         late = {}
         for group, scores in self.groups.items():
             found = marks(scores)
@@ -132,7 +138,7 @@ class Comparison:
 
 
 def _without_full(score: OpenLoopScore) -> OpenLoopScore:
-    """Rollouts over whole runs are few, and of different lengths."""
+    """The score without full rollouts, because these are few and have different lengths."""
     kept = tuple(part for part in score.horizons if part.label != "full")
     return replace(score, horizons=kept, noisy=None if score.noisy is None else _without_full(score.noisy))
 

@@ -1,4 +1,4 @@
-"""How far models predict, beside the two baselines, as a table."""
+"""`score`: open-loop prediction errors of models and of two baselines, as a table."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class ScoreTable(Mapping):
 
     def __getitem__(self, model: str) -> OpenLoopScore:
         if model not in self._scores:
-            raise KeyError(f"no model {model!r}; there are {list(self._scores)}")
+            raise KeyError(f"there is no model {model!r}; the models are {list(self._scores)}")
         return self._scores[model]
 
     def __iter__(self) -> Iterator[str]:
@@ -64,13 +64,13 @@ class ScoreTable(Mapping):
 
     def difference(self, model: str, other: str, horizon: str) -> Interval:
         """Mean error of one model minus that of another over a horizon ("200 ms"), m, with its 95 % interval from a
-        paired bootstrap over blocks of starts; where that holds zero, the two are tied.
+        paired bootstrap over blocks of starts. If the interval contains zero, the two are tied.
         """
         return difference(self, model, other, horizon)
 
     @property
     def _shown(self) -> dict[str, ScoreTable]:
-        """The groups; of too many to be read, none."""
+        """The groups; none of them if there are too many to read."""
         return self.groups if 1 < len(self.groups) <= sheet.MOST + 1 else {}
 
     def __repr__(self) -> str:
@@ -87,7 +87,7 @@ class ScoreTable(Mapping):
 def score(model, data, *, split: str = "test", kind: str | None = "controlled", horizons: Sequence[float] = HORIZONS,
           starts: int = 500, seed: int = 0, outputs: Sequence[str] | None = None,
           noise: float | None = None) -> ScoreTable:
-    """Roll a model out from measured starts of unseen runs, and persistence and constant velocity from the same ones.
+    """Score a model, and persistence and constant velocity, by rollouts from the same measured starts of unseen runs.
 
         error of a start = √(1/H Σ_{k=1..H} ‖ŷ_k − y_k‖²), m, at every sample k of the recording
 
@@ -114,10 +114,11 @@ def score(model, data, *, split: str = "test", kind: str | None = "controlled", 
     models = _by_name(model)
     strange = [each for each in models.values() if not hasattr(each, "reduced")]
     if strange:
-        raise TypeError(f"{strange[0]!r} is no model; expected what fit or load returns, or several of them")
+        raise TypeError(f"{strange[0]!r} is not a model; expected the result of fit or load, or several of them")
     names = {each.output_names for each in models.values() if isinstance(each, TrainedModel)}
     if len(names) > 1:
-        raise ValueError(f"the models observe different outputs {sorted(names)}; score those of the same ones together")
+        raise ValueError(f"the models have different outputs {sorted(names)}; score only models with equal outputs "
+                         "together")
     seen = data.observing(*names) if names else data
     for each in models.values():
         if isinstance(each, TrainedModel):
@@ -126,8 +127,8 @@ def score(model, data, *, split: str = "test", kind: str | None = "controlled", 
     runs = runs if kind == "static" else tuple(run for run in runs if run.kind != "static")
     if not runs:
         there = sorted({f"{run.kind}, {run.split}" for run in seen})
-        raise ValueError(f"the data have no run of split={split!r} to score on, only {there}; give test=[…] runs, or "
-                         "another split")
+        raise ValueError(f"the data have no run of split={split!r} to score; they have {there}. Add test=[…] runs, or "
+                         "choose another split")
     found = compare_groups({name: each.reduced for name, each in models.items()}, runs, horizons=list(horizons),
                            starts=starts, seed=seed, outputs=seen.columns(outputs), noise=noise)
     return _table(found, split)

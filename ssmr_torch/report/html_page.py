@@ -1,4 +1,4 @@
-"""The report of a run: one HTML file that needs nothing else, for a screen, a phone or paper."""
+"""Report of a run as one HTML file, with all figures inside; for a screen, a phone or paper."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from markupsafe import Markup
 from ssmr_torch import __version__
 from ssmr_torch.evaluation import figures
 
-TEMPLATE = "report.html.jinja"
+TEMPLATE = "html_page.jinja"
 FILE_NAME = "report.html"
 SVG = "http://www.w3.org/2000/svg"
 HREF = "{http://www.w3.org/1999/xlink}href"
@@ -31,10 +31,10 @@ ElementTree.register_namespace("xlink", "http://www.w3.org/1999/xlink")
 
 @dataclass(frozen=True)
 class Table:
-    """header: one label per column, units included; rows: text, numbers, or None for what does not exist.
+    """header: one label per column, units included; rows: text, numbers, or None for a value that does not exist.
 
-    Numbers are shown with four significant digits and aligned right. Raises ValueError when a row's length
-    differs.
+    Numbers are shown with four significant digits and aligned right. Raises ValueError if a row has another length than
+    the header.
     """
 
     header: Sequence[str]
@@ -44,8 +44,8 @@ class Table:
     def __post_init__(self):
         for index, row in enumerate(self.rows):
             if len(row) != len(self.header):
-                raise ValueError(f"row {index} of the table {self.caption!r} has {len(row)} cells, "
-                                 f"the header {len(self.header)}; give one per column")
+                raise ValueError(f"row {index} of the table {self.caption!r} has {len(row)} cells, but the header has "
+                                 f"{len(self.header)}; give one cell per column")
         _require_text("a table's caption", self.caption)
 
     @property
@@ -62,9 +62,8 @@ class Table:
 class Picture:
     """A figure with its caption. figure: a matplotlib Figure, or the path of an .svg file.
 
-    count: what the figure rests on ("500 starts"); unit: of what it shows ("mm"). Both end the caption.
-    Raises ValueError when a text is empty or the SVG holds scripts, FileNotFoundError when the file is
-    missing.
+    count: amount of data behind the figure ("500 starts"); unit: unit of its values ("mm"). Both are added to the
+    caption. Raises ValueError if a text is empty or the SVG contains scripts, FileNotFoundError if the file is missing.
     """
 
     figure: object
@@ -77,14 +76,14 @@ class Picture:
             _require_text(f"a figure's {name}", getattr(self, name))
 
     def drawing(self, prefix: str) -> Markup:
-        """The SVG element; its identifiers get the prefix, as those of all drawings in a page must differ."""
+        """The SVG element. Its identifiers get the prefix, because identifiers in one page must be unique."""
         is_path = isinstance(self.figure, (str, Path))
         text = Path(self.figure).read_text(encoding="utf-8") if is_path else figures.svg(self.figure)
         try:
             root = ElementTree.fromstring(text)
         except ElementTree.ParseError as error:
-            raise ValueError(f"the figure {self.caption!r} is no SVG drawing ({error}); "
-                             "give a matplotlib Figure or an .svg file of figures.save") from error
+            raise ValueError(f"the figure {self.caption!r} is not an SVG drawing ({error}); "
+                             "give a matplotlib Figure, or an .svg file written by figures.save") from error
         for metadata in root.findall(f"{{{SVG}}}metadata"):
             root.remove(metadata)
         for element in root.iter():
@@ -108,23 +107,23 @@ class Section:
         _require_text("a section's heading", self.heading)
         for part in self.parts:
             if not isinstance(part, (str, Table, Picture)):
-                raise ValueError(f"section {self.heading!r} holds a {type(part).__name__}; "
-                                 "expected a paragraph (text), Table or Picture")
+                raise ValueError(f"section {self.heading!r} contains a {type(part).__name__}; "
+                                 "expected a paragraph (text), a Table or a Picture")
 
 
 def write_report(directory: str | Path, title: str, sections: Sequence[Section],
                  provenance: Mapping[str, str] | None = None) -> Path:
-    """Write directory/report.html: all sections, then where they come from. Returns its path.
+    """Write directory/report.html with all sections and then their provenance. Returns its path.
 
-    provenance: what the numbers were made from (hash of the configuration, commit, data, seed); the package's
-    version and the time are added. All text is escaped. The file appears only when it is complete.
+    provenance: the sources of the numbers (hash of the configuration, commit, data, seed); the package's version and
+    the time are added. All text is escaped. The file appears only when it is complete.
     Raises ValueError without a title or sections.
     """
     _require_text("the report's title", title)
     if not sections or not all(isinstance(section, Section) for section in sections):
-        raise ValueError(f"{len(sections)} sections {[type(s).__name__ for s in sections]}; "
+        raise ValueError(f"{len(sections)} sections of the types {[type(s).__name__ for s in sections]}; "
                          "expected one Section or more")
-    environment = Environment(loader=PackageLoader("ssmr_torch", "evaluation"), autoescape=True,
+    environment = Environment(loader=PackageLoader("ssmr_torch", "report"), autoescape=True,
                               undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     footer = {**(provenance or {}), "ssmr_torch": __version__,
               "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")}
@@ -139,7 +138,7 @@ def write_report(directory: str | Path, title: str, sections: Sequence[Section],
 
 
 def _numbered(sections: Sequence[Section]) -> list[dict]:
-    """What the template shows: every part with its kind; tables and figures counted through the report."""
+    """The values for the template: every part with its kind. Tables and figures are numbered through the report."""
     tables = drawings = 0
     shown = []
     for section in sections:
@@ -159,13 +158,13 @@ def _numbered(sections: Sequence[Section]) -> list[dict]:
 
 
 def _check_drawn(element: ElementTree.Element, caption: str) -> None:
-    """Refuse what could run or load something when the report is opened."""
+    """Refuse elements that could run or load something when the report is opened."""
     links = [value for name, value in element.items() if name in ("href", HREF)]
     foreign = [value for value in links if not value.startswith(("#", "data:image/"))]
     handlers = [name for name in element.keys() if name.lower().startswith("on")]
     if element.tag not in DRAWN or foreign or handlers:
-        raise ValueError(f"the figure {caption!r} holds {element.tag} {foreign + handlers}, more than a "
-                         "drawing; give a matplotlib Figure or an .svg file of figures.save")
+        raise ValueError(f"the figure {caption!r} contains {element.tag} {foreign + handlers}, which is not part of a "
+                         "drawing; give a matplotlib Figure, or an .svg file written by figures.save")
 
 
 def _is_number(value) -> bool:

@@ -7,7 +7,7 @@ import pytest
 
 import ssmr_torch
 from ssmr_torch.evaluation import figures
-from ssmr_torch.evaluation.report import Picture, Section, Table, write_report
+from ssmr_torch.report.html_page import Picture, Section, Table, write_report
 
 VOID = {"meta", "link", "br", "img", "hr", "input"}
 SVG_HEAD = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">'

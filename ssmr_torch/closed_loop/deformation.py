@@ -1,4 +1,4 @@
-"""The shapes that a finite-element robot took in a closed loop, by replaying its record."""
+"""Shapes of a finite-element robot during a run in closed loop, computed by replaying its record."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ FRAMES_PER_SECOND = 25.0
 
 
 def replayed_shapes(plant, record: ClosedLoopRecord, samples: np.ndarray) -> np.ndarray:
-    """(K, N, 3) m, node positions at these samples, ascending, of the run from rest under the record's inputs and seed.
+    """Node positions (K, N, 3), m, at these samples (ascending). The plant starts at rest, with the record's inputs and
+    seed.
 
-    plant: a `FiniteElementRobot`, or a rig with one.   Raises ValueError when the replay does not end where the record
-    does: the plant is another one.
+    plant: a `FiniteElementRobot`, or a rig with one. Raises ValueError if the replay does not end where the record
+    ends, because then the plant is a different one.
     """
     robot = getattr(plant, "plant", plant)
     plant.reset(record.provenance["seed"])
@@ -29,16 +30,16 @@ def replayed_shapes(plant, record: ClosedLoopRecord, samples: np.ndarray) -> np.
             shapes.append(robot.positions)
     missed = np.abs(plant.displacement - record.observation[samples[-1]]).max()
     if missed > 1e-9:
-        raise ValueError(f"the replay ends {1e3 * missed:.3g} mm beside the record, expected 1e-6 mm at most; "
-                         "replay with the plant that the record was made with")
+        raise ValueError(f"the replay ends {1e3 * missed:.3g} mm away from the record; expected at most 1e-6 mm. "
+                         "Replay it with the plant with which the record was made")
     return np.stack(shapes)
 
 
 def draw_robot(plant, record: ClosedLoopRecord, directory: Path, animate: bool = False, obstacles=()) -> list[Path]:
-    """Save robot.svg, the robot at five instants, and robot.gif on demand; nothing for a plant that has no shape.
+    """Save robot.svg (the robot at five instants) and, if `animate`, robot.gif. A plant without a shape gives no file.
 
-    The tip is the plant's first marker; nothing is drawn where the record has not seen it. A reference is drawn where
-    the task tracks coordinates of it alone, and circles among the obstacles where that are two.
+    The tip is the plant's first marker; without it in the record, nothing is drawn. The reference is drawn if the task
+    tracks only coordinates of the tip. Circular obstacles are drawn if these are two coordinates.
     """
     robot = getattr(plant, "plant", plant)
     if not hasattr(robot, "positions") or tuple(record.output_names[:3]) != tuple(robot.output_names[:3]):

@@ -11,8 +11,9 @@ from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.evaluation import figures
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.evaluation.open_loop import compare_open_loop
-from ssmr_torch.evaluation.report import Picture, Table, write_report
-from ssmr_torch.evaluation.report_sections import (
+from ssmr_torch.models.named_structures import spectral_submanifold
+from ssmr_torch.report.html_page import Picture, Table, write_report
+from ssmr_torch.report.run_sections import (
     closed_loop_section,
     collect_sections,
     open_loop_section,
@@ -20,7 +21,6 @@ from ssmr_torch.evaluation.report_sections import (
     training_figures,
     training_section,
 )
-from ssmr_torch.models.named_structures import spectral_submanifold
 from ssmr_torch.trajectory import Trajectory
 
 TIME = 0.01 * np.arange(151)
@@ -288,6 +288,6 @@ def test_of_more_than_six_models_the_first_six_are_drawn_and_the_text_says_so(tm
 
 
 def test_a_report_is_made_without_torch():
-    code = "import sys; sys.modules['torch'] = None; import ssmr_torch.evaluation.report_sections"
+    code = "import sys; sys.modules['torch'] = None; import ssmr_torch.report.run_sections"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
