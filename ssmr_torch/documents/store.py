@@ -6,6 +6,7 @@ import json
 import math
 import os
 import re
+import textwrap
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
@@ -15,6 +16,7 @@ FOLDER = Path("docs", "numbers")
 NAME = re.compile(r"[a-z0-9_]+")
 EMPTY = "–"
 CARRIED = "not measured again since"
+WIDTH = 130  # characters of a line of a printed text
 
 
 @dataclass(frozen=True)
@@ -51,9 +53,10 @@ class Numbers:
                 raise ValueError(f"the row {row[:1]} has {len(row)} cells; there are {len(self.columns or ())} columns")
 
     def markdown(self) -> str:
-        """The table (or the text, indented) and a caption that names the commands, the version and the date."""
+        """The table (or the text, indented and wrapped) and a caption that names the commands, the version and the date."""
         if self.text is not None:
-            body = [f"    {line}".rstrip() for line in self.text]
+            body = [part for line in self.text
+                    for part in textwrap.wrap(line, WIDTH, initial_indent="    ", subsequent_indent="      ")]
         else:
             lines = [self.columns, ["---"] * len(self.columns), *([cell(value) for value in row] for row in self.rows)]
             body = [f"| {' | '.join(line)} |" for line in lines]
