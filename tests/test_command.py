@@ -216,6 +216,7 @@ def shown():
 
 def documented():
     """(command, overrides) of all of them, without what stands for something of the reader's own."""
+    seen = set()
     for path, name, rest in shown():
         words = [shlex.split(word)[0] for word in OPTION.findall(rest)]
         kept = tuple(word for word in words if not OF_THE_READER.search(word.partition("=")[2])
@@ -223,7 +224,8 @@ def documented():
         own = re.search(r"--config-dir (\S+)", rest)
         if own:  # docs/extending.md shows the package of tests/extension
             kept += (f"hydra.searchpath=['file://{ROOT}/tests/extension/{own[1]}']",)
-        if kept:
+        if kept and (path, name, kept) not in seen:
+            seen.add((path, name, kept))
             yield pytest.param(name, kept, id=f"{path.name}: {name} {' '.join(kept)}")
 
 
