@@ -30,7 +30,8 @@ NAMED = re.compile(rf"\bssmr ({'|'.join(command.COMMANDS)})\b((?: (?![|#])(?:\\\
 # key=value, where the value may have quotes or brackets; a sentence may go on after it
 OPTION = re.compile(r"""(?<!\S)(?:'[~+]*[\w@./]+=[^']*'|"[~+]*[\w@./]+=[^"]*"|[~+]*[\w@./]+=(?:'[^']*'|"[^"]*"|"""
                     r"""\[[^\]]*\]|[^\s'"\[][^\s'"]*[^\s'";:,.)]|[^\s'"\[;:,.)]))""")
-OF_THE_READER =  re.compile(r"…|^[A-Z]+$|^(MODEL|EXPERIMENT|ROBOT)")  # what stands for something of the reader's own
+# what stands for something of the reader's own
+OF_THE_READER = re.compile(r"…|(^|/)[A-Z]+$|^(MODEL|EXPERIMENT|ROBOT)")
 
 
 def ssmr(*arguments, **environment):

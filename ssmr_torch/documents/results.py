@@ -145,19 +145,27 @@ def _benchmark(directory: Path) -> Iterator[tuple[str, Table]]:
 
 
 def _reproduction(directory: Path) -> Iterator[tuple[str, Table]]:
-    """ISE, time inside an obstacle, depth, and computing time over the period: a row per task, a column per method."""
+    """ISE, time inside an obstacle, depth, and computing time over the period: a row per task, a column per method.
+    Open loop: a row per robot and horizon.
+    """
     if not (directory / "runs.csv").is_file():
         return
     with open(directory / "runs.csv", encoding="utf-8", newline="") as file:
         runs = list(csv.DictReader(file))
-    plan = directory / "plan.json"
-    origin = json.loads(plan.read_text(encoding="utf-8")).get("provenance") if plan.is_file() else None
+    origin = ClosedLoopRecord.load(directory / runs[0]["record"]).provenance
     methods = list(dict.fromkeys(run["method"] for run in runs))
     for name, value in (("ise", lambda run: MM2 * float(run["ise"])),
                         ("inside", lambda run: 100 * float(run["violation_ratio"])),
                         ("depth", lambda run: MM * float(run["max_violation"])),
                         ("computing_time", lambda run: float(run["solve_p99"]) / float(run["period"]))):
-        yield name, Table(["robot: task", *methods], _by_task(runs, methods, value), origin or {})
+        yield name, Table(["robot: task", *methods], _by_task(runs, methods, value), origin)
+    scores = {path.stem: json.loads(path.read_text(encoding="utf-8"))["scores"]
+              for path in sorted(directory.glob("open_loop/*.json"))}
+    names = list(dict.fromkeys(name for of_robot in scores.values() for name in of_robot))
+    rows = [[f"{robot}, {label}", *(cells.get(name) for name in names)] for robot, of_robot in scores.items()
+            for label, cells in _by_horizon(of_robot).items()]
+    if rows:
+        yield "open_loop", Table(["robot, horizon", *names], rows, origin)
 
 
 READERS = (_run_of_make, _selection, _scores,  _comparison, _loops, _benchmark, _reproduction)
@@ -173,6 +181,15 @@ def _by_task(runs: list[dict], methods: list[str], value: Callable[[dict], float
                   and run["ise"]] for method in methods]
         rows.append([f"{robot}: {task}", *(fmean(each) if each else None for each in cells)])
     return rows
+
+
+def _by_horizon(scores: dict) -> dict[str, dict]:
+    """Mean error in mm by horizon and model."""
+    found: dict[str, dict] = {}
+    for name, score in scores.items():
+        for each in score["horizons"]:
+            found.setdefault(each["label"], {})[name] = _mean(each)
+    return found
 
 
 def _scores_table(scores: dict, origin: dict, without: str = "") -> Table:

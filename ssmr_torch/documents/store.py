@@ -53,7 +53,7 @@ class Numbers:
                 raise ValueError(f"the row {row[:1]} has {len(row)} cells; there are {len(self.columns or ())} columns")
 
     def markdown(self) -> str:
-        """The table (or the text, indented and wrapped) and a caption that names the commands, the version and the date."""
+        """The table, or the text indented and wrapped, and a caption with the commands, the version and the date."""
         if self.text is not None:
             body = [part for line in self.text
                     for part in textwrap.wrap(line, WIDTH, initial_indent="    ", subsequent_indent="      ")]

@@ -171,33 +171,52 @@ def test_of_several_tables_one_is_chosen_by_name(house, tmp_path):
     assert results.store_results(house, tmp_path / "run", "scores", "decays", []).is_file()
 
 
+def record(path, error, count=400):
+    """A closed loop whose output is `error` m beside its reference."""
+    path.mkdir(parents=True, exist_ok=True)
+    reference, zeros = np.zeros((count, 1)), np.zeros(count, dtype=bool)
+    ClosedLoopRecord(
+        time=0.01 * np.arange(count), observation=reference + error, measurement=reference + error,
+        input=np.zeros((count, 1)), reference=reference, solve_time=np.full(count, 1e-4), fallback=zeros,
+        iterations=np.ones(count, dtype=int), statuses=("SOLVED",) * count, tracked=(0,), output_names=("x",),
+        input_names=("u",), provenance=ORIGIN | {"model": "SSMR", "task": "circle", "period": 0.01},
+    ).save(path / "record.h5")
+
+
 def test_closed_loops_of_a_multirun_become_one_row_each(tmp_path):
-    count = 400
-    time = 0.01 * np.arange(count)
-    for number, error in enumerate((0.001, 0.002)):
-        reference = np.zeros((count, 1))
-        record = ClosedLoopRecord(
-            time=time, observation=reference + error, measurement=reference + error, input=np.zeros((count, 1)),
-            reference=reference, solve_time=np.full(count, 1e-4), fallback=np.zeros(count, dtype=bool),
-            iterations=np.ones(count, dtype=int), statuses=("SOLVED",) * count, tracked=(0,), output_names=("x",),
-            input_names=("u",),
-            provenance=ORIGIN | {"model": "SSMR", "task": "circle", "period": 0.01})
-        (tmp_path / str(number)).mkdir()
-        record.save(tmp_path / str(number) / "record.h5")
+    record(tmp_path / "0", 0.001)
+    record(tmp_path / "1", 0.002)
     rows = results.tables_of(tmp_path)["loops"].rows
     assert [row[0] for row in rows] == ["SSMR", "SSMR"]
     assert [row[2] for row in rows] == pytest.approx([1.0, 2.0])
 
 
-def test_the_runs_of_the_reproduction_become_a_row_for_each_task(tmp_path):
-    lines = ["robot,method,task,period,ise,violation_ratio,max_violation,solve_p99",
-             "trunk,SSMR,ASL,0.02,2e-6,0,0,1e-4", "trunk,SSMR,ASL,0.02,4e-6,0,0,1e-4",
-             "trunk,TPWL,ASL,0.02,9e-6,0,0,0.04", "trunk,TPWL,ASL,0.06,5e-6,0,0,0.04"]
+def test_a_run_of_make_becomes_one_row_for_each_model_with_its_letter(tmp_path):
+    scores = {"SSMR": {"horizons": [part("1 s", 0.002)]}, "persistence": {"horizons": [part("1 s", 0.02)]}}
+    save(tmp_path / "evaluate" / "scores.json", {"scores": scores, "groups": {}})
+    record(tmp_path / "control" / "0", 0.001)
+    found = results.tables_of(tmp_path)["run"]
+    assert found.columns == ["model", "1 s (mm)", "letter, RMSE (mm)", "letter, ISE (mm²)"]
+    assert found.rows[0][:3] == ["SSMR", 2.0, pytest.approx(1.0)] and found.rows[1] == ["persistence", 20.0, None, None]
+
+
+def test_a_benchmark_becomes_its_rows(tmp_path):
+    save(tmp_path / "step.json", {"rows": [{"N": 5, "median": 0.1}, {"N": 10, "failed": 1}]})
+    assert results.tables_of(tmp_path)["step"][:2] == (["N", "median", "failed"], [[5, 0.1, None], [10, None, 1]])
+
+
+def test_the_reproduction_becomes_a_row_for_each_task_and_for_each_horizon(tmp_path):
+    lines = ["robot,method,task,period,ise,violation_ratio,max_violation,solve_p99,record",
+             "trunk,SSMR,ASL,0.02,2e-6,0,0,1e-4,runs/0/record.h5", "trunk,SSMR,ASL,0.02,4e-6,0,0,1e-4,",
+             "trunk,TPWL,ASL,0.02,9e-6,0,0,0.04,", "trunk,TPWL,ASL,0.06,5e-6,0,0,0.04,"]
     (tmp_path / "runs.csv").write_text("\n".join(lines))
+    record(tmp_path / "runs" / "0", 0.001)
+    save(tmp_path / "open_loop" / "trunk.json", {"scores": {"SSMR": {"horizons": [part("1 s", 0.002)]}}})
     found = results.tables_of(tmp_path)
     assert found["ise"].columns == ["robot: task", "SSMR", "TPWL"]
     assert found["ise"].rows[0] == ["trunk: ASL", pytest.approx(3.0), pytest.approx(9.0)]
     assert found["computing_time"].rows[0][1:] == pytest.approx([0.005, 2.0])
+    assert found["open_loop"][:2] == (["robot, horizon", "SSMR"], [["trunk, 1 s", 2.0]])
 
 
 def test_a_directory_without_results_and_new_numbers_without_a_command_are_refused(house, tmp_path):
