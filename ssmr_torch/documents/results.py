@@ -100,11 +100,13 @@ def _scores(directory: Path) -> Iterator[tuple[str, Table]]:
 
 
 def _comparison(directory: Path) -> Iterator[tuple[str, Table]]:
-    """Every group of runs: marked errors, share that diverged, error in % of the reach, CPU time."""
+    """Every group of runs: marked errors, share that diverged, error in % of the reach, CPU time. Then a summary: the
+    first model beside the best other one, a row per group.
+    """
     path = directory / "comparison.json"
     if not path.is_file():
         return
-    content = json.loads(path.read_text(encoding="utf-8"))
+    content, summary = json.loads(path.read_text(encoding="utf-8")), []
     for group, scores in content["groups"].items():
         base, rows = _scores_table(scores, content["provenance"], without="full"), []
         for row, score in zip(base.rows, scores.values()):
@@ -117,6 +119,22 @@ def _comparison(directory: Path) -> Iterator[tuple[str, Table]]:
                          None if seconds is None else round(seconds)])
         yield group, Table([*base.columns, "diverged (%)", f"of reach, {parts[-1]['label']} (%)", "fit (CPU, s)"], rows,
                            base.origin)
+        summary.append([group, *rows[0][1:len(parts) + 1], *_best_others(scores, content["cpu"])])
+    labels = [part["label"] for part in parts]
+    yield "summary", Table(["test runs", *(f"{next(iter(scores))}, {label} (mm)" for label in labels),
+                            *(f"best other, {label} (mm)" for label in labels)], summary, content["provenance"])
+
+
+def _best_others(scores: dict, fitted: dict) -> list[str]:
+    """The lowest error of the fitted models but the first, with its name, by horizon."""
+    _, *others = [name for name in scores if name in fitted]
+    found = []
+    for column, part in enumerate(scores[others[0]]["horizons"]):
+        if part["label"] != "full":
+            errors = {name: scores[name]["horizons"][column]["mean"] for name in others}
+            best = min(others, key=lambda name: math.inf if errors[name] is None else errors[name])
+            found.append(f"{cell(_mean(scores[best]['horizons'][column]))} {best}")
+    return found
 
 
 def _loops(directory: Path) -> Iterator[tuple[str, Table]]:

@@ -144,9 +144,11 @@ def test_a_comparison_becomes_a_table_with_marks_for_each_group(tmp_path):
     scores = {"AUTO": {"horizons": [part("1 s", 0.002), part("full", 1.0)], "marks": {"1 s": "*"}},
               "DMD": {"horizons": [part("1 s", 0.004), part("full", 1.0)], "marks": {"1 s": ""}}}
     save(tmp_path / "comparison.json", {"groups": {"fast-test": scores, "decays": scores}, "reach": 0.04,
-                                        "cpu": {"AUTO": 20.4}})
+                                        "cpu": {"AUTO": 20.4, "DMD": None}})
     found = results.tables_of(tmp_path)
-    assert list(found) == ["fast-test", "decays"]
+    assert list(found) == ["fast-test", "decays", "summary"]
+    assert found["summary"].columns == ["test runs", "AUTO, 1 s (mm)", "best other, 1 s (mm)"]
+    assert found["summary"].rows[0] == ["fast-test", "2 *", "4 DMD"]
     assert found["decays"].columns == ["model", "1 s (mm)", "diverged (%)", "of reach, 1 s (%)", "fit (CPU, s)"]
     assert found["decays"].rows == [["AUTO", "2 *", 0.0, 5.0, 20], ["DMD", "4", 0.0, 10.0, None]]
 
