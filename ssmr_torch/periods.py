@@ -23,5 +23,5 @@ def whole_multiple(what: str, period: float, of: str, base: float, remedy: str =
 
 
 def whole_steps(name: str, time: float, timestep: float) -> int:
-    """How many measurements `timestep` s apart `time` s take. Raises ValueError when that is no whole number."""
+    """Number of measurements, `timestep` s apart, in `time` s. Raises ValueError unless that is a whole number."""
     return whole_multiple(name, time, "the timestep of the measurements", timestep)

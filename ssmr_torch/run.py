@@ -42,8 +42,9 @@ class Trajectory(Run):
 
     time: (T,) s, strictly increasing, uniform within `JITTER_TOLERANCE` of its step.
     observation: (T, p) displacement from the rest position, m.
-    input: (T, m); input[k] is held from time[k] to time[k+1], so observation[k] does not feel it yet.
-    Raises ValueError when the arrays disagree in length, hold non-finite numbers, or time is not uniform.
+    input: (T, m); input[k] is held from time[k] to time[k+1], so it does not act on observation[k] yet.
+
+    Raises ValueError if the arrays differ in length, hold non-finite numbers, or time is not uniform.
 
     >>> Trajectory([0.0, 0.1, 0.2], [[0.0], [0.001], [0.0015]], [[1.0], [1.0], [0.0]], name="step")
     Trajectory 'step': 3 samples, 0.2 s

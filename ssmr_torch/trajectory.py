@@ -71,8 +71,9 @@ class TrajectoryDataset(DataSheet, Sequence):
 
     rest: (p,) absolute position of the origin of `observation`, m.
     output_names, input_names: one label per column. input_unit: "N", or "1" for normalized commands.
-    provenance: plain JSON values (where the data came from, what the reader assumed).
-    Raises ValueError when two trajectories differ in their numbers of columns, or in sampling time by more than
+    provenance: plain JSON values (source of the data, assumptions of the reader).
+
+    Raises ValueError if two trajectories differ in their numbers of columns, or in sampling time by more than
     `JITTER_TOLERANCE`.
 
     >>> decay = Trajectory([0.0, 0.1, 0.2], [[0.003], [0.001], [0.0]], np.zeros((3, 1)), "decay", name="decay 1")
@@ -113,8 +114,9 @@ class TrajectoryDataset(DataSheet, Sequence):
                 raise ValueError(f"trajectory {trajectory.name!r} has {columns[0]} outputs and {columns[1]} inputs; "
                                  f"the dataset declares {self.output_dim} and {self.input_dim}")
             if abs(trajectory.timestep / self.trajectories[0].timestep - 1) > JITTER_TOLERANCE:
-                raise ValueError(f"trajectory {trajectory.name!r} is sampled every {trajectory.timestep:.6g} s, but the "
-                                 f"first one every {self.trajectories[0].timestep:.6g} s; resample them to one time")
+                raise ValueError(f"trajectory {trajectory.name!r} is sampled every {trajectory.timestep:.6g} s, but "
+                                 f"the first one every {self.trajectories[0].timestep:.6g} s; resample all to one "
+                                 "sampling time")
 
     def __len__(self) -> int:
         return len(self.trajectories)

@@ -129,8 +129,8 @@ def stated(statement: Mapping, input_names: Sequence[str], outputs: int) -> Turn
         raise ValueError(f"symmetry has the keys {list(statement)}; expected angle, axis and inputs")
     size, angle, axis = marker_size(outputs), statement["angle"], statement.get("axis", [0, 0])
     if not size:
-        raise ValueError(f"symmetry: {outputs} outputs are not markers with 3 or 2 coordinates each; use all coordinates "
-                         "of the markers as outputs, or leave the symmetry out")
+        raise ValueError(f"symmetry: {outputs} outputs are not markers with 3 or 2 coordinates each; use all "
+                         "coordinates of the markers as outputs, or leave the symmetry out")
     if not isinstance(angle, (int, float)) or isinstance(angle, bool) or not 0 < abs(angle) <= 180 \
             or abs(360 / angle - round(360 / angle)) > SAME:
         raise ValueError(f"symmetry.angle is {angle!r}; expected degrees that divide 360, such as 180, 120, 90 or "

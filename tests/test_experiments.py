@@ -125,7 +125,7 @@ def test_the_trunk_writes_a_letter_and_the_report_shows_it(trunk_line):
     assert metrics["rmse"] < 0.8e-3 and metrics["fallbacks"] == 0
     assert (at / "control" / "robot.gif").read_bytes().startswith(b"GIF")
     page = (at / "report.html").read_text()
-    assert "tip&#39;s path so far" in page and "stiffness_scale" in page
+    assert "path of its tip so far" in page and "stiffness_scale" in page
 
 
 @pytest.mark.slow
@@ -339,7 +339,7 @@ def test_two_processes_started_by_the_entry_point_give_the_scores_of_one(line):
     ("train", ["data.path=collect/trajectories.h5", "fit.closed_form.calibration=both"], "expected one of"),
     ("evaluate", ["artifact=collect", "data.path=collect/trajectories.h5"], "no artifact at collect"),
     ("export", [], "give either checkpoint=FILE.ckpt or mat=FILE.mat"),
-    ("export", ["checkpoint=collect/trajectories.h5"], "is not a checkpoint"),
+    ("export", ["checkpoint=collect/trajectories.h5"], "cannot be read as a checkpoint"),
     ("train", ["data.path=collect/trajectories.h5", "metric=test/rmse"], "never by the test runs"),
     ("train", ["data.path=collect/trajectories.h5", "model.chart_degree=2"], "set detection_delays above"),
     ("control", ["artifact=export/0/artifact", "task.tracked=[nose]"], "tracks 'nose'"),

@@ -1,4 +1,4 @@
-"""Trajectories, and the file in which they are kept."""
+"""Trajectories and their HDF5 file."""
 
 import json
 import os
@@ -74,7 +74,7 @@ def test_parts_of_parts_seen_through_columns_are_the_same_in_memory_and_in_the_f
 @pytest.mark.parametrize(("start", "stop", "samples"), [(39, None, 1), (40, 50, 0), (20, 10, 0)])
 def test_a_part_of_less_than_two_samples_is_refused_in_memory_and_in_the_file(dataset, stored, start, stop, samples):
     for trajectory in (dataset[0], stored[0]):
-        with pytest.raises(ValueError, match=f"first: {samples} samples; at least 2"):
+        with pytest.raises(ValueError, match=f"first: {samples} samples; expected at least 2"):
             trajectory.part(start, stop)
 
 
@@ -121,7 +121,7 @@ def test_provenance_that_json_cannot_hold_is_refused_before_anything_is_written(
     assert not list(tmp_path.iterdir())
 
 
-def test_the_arrays_of_the_caller_are_neither_changed_nor_followed_later():
+def test_a_trajectory_does_not_change_the_callers_arrays_nor_follow_their_changes():
     time, observation, inputs, rest = TIMESTEP * np.arange(5), np.ones((5, 2)), np.ones((5, 1)), np.ones(2)
     trajectory = Trajectory(time, observation, inputs)
     dataset = TrajectoryDataset([trajectory], rest, "ab", "u")
@@ -132,7 +132,7 @@ def test_the_arrays_of_the_caller_are_neither_changed_nor_followed_later():
     np.testing.assert_array_equal(dataset.rest, [1, 1])
 
 
-def test_nobody_can_write_into_a_trajectory(dataset):
+def test_the_arrays_of_a_trajectory_are_read_only(dataset):
     trajectory = dataset[0]
     for array in (trajectory.time, trajectory.observation, trajectory.input, trajectory.slice(0, 3)[0], dataset.rest):
         with pytest.raises(ValueError, match="read-only"):
@@ -148,14 +148,14 @@ def test_datasets_can_be_compared_and_hashed(dataset, stored):
     ({"time": np.zeros((9, 1))}, r"\(9, 1\), \(9, 2\), \(9, 1\)"),
     ({"observation": np.zeros(9)}, r"expected time \(T,\).*\(9,\)"),
     ({"input": np.zeros((8, 1))}, "9 times, 9 observations and 8 inputs"),
-    ({"time": np.zeros(1), "observation": np.zeros((1, 2)), "input": np.zeros((1, 1))}, "1 samples; at least 2"),
+    ({"time": np.zeros(1), "observation": np.zeros((1, 2)), "input": np.zeros((1, 1))}, "1 samples; expected"),
     ({"kind": "free"}, "kind 'free' and split 'train'.*'decay'"), ({"split": "dev"}, "split 'dev'.*'validation'"),
     ({"observation": np.where(np.arange(18).reshape(9, 2) > 12, np.nan, 0)},
-     "3 of 9 samples of observation are not finite, the first is sample 6"),
+     "3 of 9 samples of observation are not finite, the first one is sample 6"),
     ({"input": np.full((9, 1), np.inf)}, "9 of 9 samples of input are not finite"),
     ({"time": 0.1 * np.array([0, 1, 2, 3, 3, 4, 5, 6, 7])}, "time does not increase at sample 4"),
     ({"time": 0.1 * np.array([0, 1, 2, 3, 4.01, 5, 6, 7, 8])},
-     r"up to 1 % from 0.1 s, more than 0.1 %; resample")])
+     r"up to 1 % from 0.1 s, more than the permitted 0.1 %; resample")])
 def test_a_bad_trajectory_is_refused_with_the_numbers(change, message):
     good = {"time": 0.1 * np.arange(9), "observation": np.zeros((9, 2)), "input": np.zeros((9, 1)), "name": "bad one"}
     Trajectory(**good)
@@ -177,12 +177,12 @@ def test_jitter_is_accepted_up_to_the_tolerance():
 
 
 @pytest.mark.parametrize(("runs", "rest", "message"), [
-    ([], np.zeros(3), "holds no trajectory; at least one"),
+    ([], np.zeros(3), "contains no trajectory; expected at least one"),
     ([run()], np.zeros(2), r"rest has shape \(2,\), but there are 3 output names"),
     ([run(), run(p=4, name="wide")], np.zeros(3), "'wide' has 4 outputs and 2 inputs; the dataset declares 3 and 2"),
     ([run(), run(m=1, name="thin")], np.zeros(3), "'thin' has 3 outputs and 1 inputs; the dataset declares 3 and 2"),
-    ([run(), run(timestep=0.0102, name="slow")], np.zeros(3), "'slow' is sampled every 0.0102 s, the first one every "
-                                                              "0.01 s")])
+    ([run(), run(timestep=0.0102, name="slow")], np.zeros(3), "'slow' is sampled every 0.0102 s, but the first "
+                                                              "one every 0.01 s")])
 def test_runs_that_do_not_belong_together_are_refused_with_the_numbers(runs, rest, message):
     with pytest.raises(ValueError, match=message):
         TrajectoryDataset(runs, rest, ("x", "y", "z"), ("u1", "u2"))
@@ -190,12 +190,12 @@ def test_runs_that_do_not_belong_together_are_refused_with_the_numbers(runs, res
 
 @pytest.mark.parametrize("names", [{"output_names": ("x", "y", "x")}, {"input_names": ("x", "x")}])
 def test_two_columns_of_one_name_are_refused(names):
-    with pytest.raises(ValueError, match="puts are named 'x'; give each a name of its own"):
+    with pytest.raises(ValueError, match="puts are named 'x'; give each a different name"):
         TrajectoryDataset([run()], np.zeros(3), **dict(output_names=("x", "y", "z"), input_names=("a", "b")) | names)
 
 
 @pytest.mark.parametrize("asked", [{"split": "tset"}, {"kind": "decays"}])
-def test_a_split_or_kind_that_does_not_exist_is_refused_not_empty(dataset, asked):
+def test_a_split_or_kind_that_does_not_exist_is_refused(dataset, asked):
     with pytest.raises(ValueError, match="expected one of .*, or None for all"):
         dataset.select(**asked)
 
@@ -217,7 +217,7 @@ def test_outputs_are_observed_by_name_in_the_order_asked_for(dataset, stored):
         dataset.observing(["x", "tip"])
 
 
-def test_files_of_something_else_are_refused(tmp_path, stored):
+def test_files_of_another_kind_are_refused(tmp_path, stored):
     with pytest.raises(FileNotFoundError, match="no trajectory file at .*absent.h5; make one"):
         TrajectoryDataset.load(tmp_path / "absent.h5")
     text = tmp_path / "text.h5"
@@ -227,11 +227,11 @@ def test_files_of_something_else_are_refused(tmp_path, stored):
     foreign = tmp_path / "foreign.h5"
     with h5py.File(foreign, "w") as file:
         file["trajectories"] = np.zeros(3)
-    with pytest.raises(ValueError, match="no card.*data=custom"):
+    with pytest.raises(ValueError, match="not a trajectory file .*data=custom"):
         TrajectoryDataset.load(foreign)
     with h5py.File(foreign, "a") as file:
         file.attrs["card"] = json.dumps({"format": "ssmr_torch trajectories 99"})
-    with pytest.raises(ValueError, match="of format 'ssmr_torch trajectories 99'; this version reads '.* 1'"):
+    with pytest.raises(ValueError, match="has the format 'ssmr_torch trajectories 99'; this version reads '.* 1'"):
         TrajectoryDataset.load(foreign)
     cut = tmp_path / "cut.h5"
     cut.write_bytes(stored[0].path.read_bytes()[:-500])

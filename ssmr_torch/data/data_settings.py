@@ -1,4 +1,4 @@
-"""How recordings are split, cut and served to a fit: one object for constructor and configuration."""
+"""Settings of the data module: how trajectories are split, cut and served to a fit."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from ssmr_torch.settings import Settings, at_least, non_negative, positive, whol
 class DataSettings(Settings):
     """Settings of a `TrajectoryDataModule`; `changed(name=value)` gives others.
 
-    validation_share: 1, below 1; tail of every controlled training run that is held out when no run is marked
+    validation_share: share, below 1, at the end of every controlled training run that is held out if no run is marked
     "validation".
-    decays, controlled_duration: how many of the training decays, the first ones, and how many s of the controlled
-    training, from its start, are used; None: all.
-    noise_std: m, of seeded white noise on the training runs and on the windows that validation and test predictions
-    start from; what they are compared with stays as it is.
-    score_test: whether the test runs are looked at.
-    overdrive, overspeed: 1, 1 or more, overspeed whole; also validate with inputs so many times as strong, and so many
-    times as fast: a model that then diverges scores infinite, see `ModelFit`.
+    decays, controlled_duration: number of training decays (the first ones) and length in s of the controlled training
+    runs (from their start) that are used; None: all.
+    noise_std: m, standard deviation of random white noise on the training runs and on the windows at the starts of
+    validation and test predictions. The outputs to which predictions are compared stay unchanged.
+    score_test: whether the test runs are scored.
+    overdrive, overspeed: 1 or more, overspeed a whole number. Above 1, validation is repeated with inputs `overdrive`
+    times larger and `overspeed` times faster. A model that then diverges has an infinite score, see `ModelFit`.
     transient: s cut from the start of each training decay.   rows: core samples per segment.
     rollout_horizon: s, of the rollout loss.   validation_horizon: s, of the validation and test scores.
-    starts: seeded validation and test starts.   batch_size: rollouts per step.   stride: samples from one training
-    rollout to the next.   seed, num_workers: of drawing, and of Torch's loaders.
+    starts: number of random validation and test starts.   batch_size: rollouts per step.   stride: samples between the
+    starts of two training rollouts.   seed: of all random numbers.   num_workers: of Torch's data loaders.
 
-    Raises ValueError for a number that makes no sense, TypeError for a name that is none of these.
+    Raises ValueError for a number out of range, TypeError for an unknown name.
     """
 
     validation_share: float = 0.15

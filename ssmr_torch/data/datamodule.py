@@ -1,4 +1,4 @@
-"""The data of one experiment, served to Lightning."""
+"""Lightning data module: serves the trajectories of one training as segments, rollouts and scored runs."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ssmr_torch.trajectory import TrajectoryDataset
 
 
 class TrajectoryDataModule(lightning.LightningDataModule):
-    """Segments for closed-form fits, rollouts for gradient fits, the same validation and test starts for both.
+    """Segments for closed-form fits, rollouts for gradient fits, and the same validation and test starts for both.
 
-    Static set points are no dynamics; only a procedure that asks for them (`takes_static`) is served those of training.
-    settings: `DataSettings`, which says what each is; changes: some of them by name, in their place.
-    Call `prepare(fit)` before training: it learns the delays and context that the fit needs.
+    Static runs (set points) show no dynamics. Only a procedure with `takes_static` receives those of the training.
+    settings: `DataSettings`, which explains each setting; changes: settings by name, which replace those.
+    Call `prepare(fit)` before training, so that the module knows the delays and the context that the fit needs.
     """
 
     @configurable(DataSettings, given=("settings",))
@@ -39,10 +39,10 @@ class TrajectoryDataModule(lightning.LightningDataModule):
         self.drawn_horizon, self.drawn_starts = settings.rollout_horizon, None
 
     def prepare(self, fit) -> TrajectoryDataModule:
-        """Serve what this fit needs: segments when it is closed-form, rollouts otherwise; of its own `horizon` in s
-        and as many, drawn anew each epoch, as its `starts`, where it has these.
+        """Prepare the data for this fit: segments if it is a closed-form fit, otherwise rollouts.
 
-        Raises ValueError here, before any fit, when runs are too short for its delays and the horizons.
+        If the fit has the attributes `horizon` (s) and `starts`, rollouts have this horizon, and each epoch draws this
+        number of new starts. Raises ValueError, before any fit, if runs are too short for the delays and the horizons.
         """
         self.procedure, self.delays = getattr(fit, "procedure", None), fit.model.delays
         self.sampling = whole_multiple("the model's timestep", fit.model.timestep, "the data's sampling time",
@@ -94,15 +94,15 @@ class TrajectoryDataModule(lightning.LightningDataModule):
                               transient=self.transient, sampling=self.sampling)
 
     def _share(self, data):
-        """This process's part: each segment in exactly one process; of rollouts, equally many in each."""
+        """The part of this process: each segment goes to exactly one process; rollouts are divided equally."""
         trainer = self.trainer
         if trainer is None or trainer.world_size == 1:
             return data
         if len(data) < trainer.world_size:
-            raise ValueError(f"{len(data)} items for {trainer.world_size} processes; use fewer processes or "
-                             "smaller `rows`")
+            raise ValueError(f"{len(data)} batches of data for {trainer.world_size} processes; use fewer processes, or "
+                             "a smaller `rows`")
         if isinstance(data, SegmentDataset):
             return SegmentShare(data, trainer.global_rank, trainer.world_size)
-        # processes step together: one with a batch more than another would wait for it for ever
+        # processes step together: one with more batches than another would wait forever
         even = len(data) - len(data) % trainer.world_size
         return Subset(data, range(trainer.global_rank, even, trainer.world_size))

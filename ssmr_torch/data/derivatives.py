@@ -1,4 +1,4 @@
-"""Time derivatives of uniformly sampled signals as stencils, and the input that such a difference has felt."""
+"""Stencils for time derivatives of uniformly sampled signals, and the mean input that belongs to each derivative."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from scipy.signal import savgol_coeffs
 class Stencil:
     """dz/dt(t_k) ≈ Σ_j weights[w + j] z(t_{k+j}) / h, j = -w … w.
 
-    weights: (2w + 1,), dimensionless; exact on straight lines (Σ weights = 0, Σ j weights = 1), checked here.
+    weights: (2w + 1,), dimensionless. Raises ValueError unless they are exact for straight lines: Σ weights = 0 and
+    Σ j weights = 1.
     """
 
     weights: tuple[float, ...]
@@ -22,11 +23,11 @@ class Stencil:
     def __post_init__(self):
         weights = np.asarray(self.weights, dtype=np.float64)
         if len(weights) % 2 != 1 or len(weights) < 3:
-            raise ValueError(f"{self.name}: {len(weights)} weights; a centred stencil has an odd number, at least 3")
+            raise ValueError(f"{self.name}: {len(weights)} weights; expected an odd number of at least 3")
         offsets = np.arange(len(weights)) - len(weights) // 2
         if not (abs(weights.sum()) <= 1e-9 and abs(weights @ offsets - 1) <= 1e-9):
-            raise ValueError(f"{self.name}: weights sum to {weights.sum():.3g} and differentiate a unit ramp to "
-                             f"{weights @ offsets:.12g}; expected 0 and 1")
+            raise ValueError(f"{self.name}: the sum of the weights is {weights.sum():.3g} and the derivative of a ramp "
+                             f"of slope 1 is {weights @ offsets:.12g}; expected 0 and 1")
         object.__setattr__(self, "weights", tuple(weights.tolist()))
 
     @property
@@ -36,16 +37,16 @@ class Stencil:
     def __call__(self, signal, timestep: float):
         """Signal (T, n) sampled every `timestep` s → derivative (T - 2w, n) at samples w … T - w - 1.
 
-        Works on NumPy arrays and Torch tensors alike. A signal shorter than the stencil gives no rows.
+        It takes NumPy arrays and Torch tensors. A signal shorter than the stencil gives no rows.
         """
         rows = max(len(signal) - 2 * self.half_width, 0)
         return sum(weight * signal[j:j + rows] for j, weight in enumerate(self.weights)) / timestep
 
     def held_input(self, inputs):
-        """Input (T, m), held between samples → the mean that the difference has felt, (T - 2w, m).
+        """Input (T, m), held between samples → the weighted mean input of each difference, (T - 2w, m).
 
-        For dz/dt = u with u held, Σ_j a_j z_{k+j} / h = Σ_i b_i u_{k+i} with b_i = Σ_{j>i} a_j: the difference around
-        t_k sees the inputs before and after t_k, and taking u_k alone lags by half a sample.
+        For dz/dt = u with u held, Σ_j a_j z_{k+j} / h = Σ_i b_i u_{k+i} with b_i = Σ_{j>i} a_j. The difference around
+        t_k depends on the inputs before and after t_k; u_k alone would be late by half a sample.
         """
         felt = np.cumsum(self.weights[::-1])[::-1][1:]
         rows = max(len(inputs) - 2 * self.half_width, 0)
@@ -60,7 +61,7 @@ class Stencil:
 def central_difference(order: int = 6) -> Stencil:
     """Central difference of even order; order 6 has the weights ±3/4, ∓3/20, ±1/60."""
     if order < 2 or order % 2:
-        raise ValueError(f"central differences of order {order}; expected an even order of at least 2")
+        raise ValueError(f"central difference of order {order}; expected an even order of at least 2")
     offsets = np.arange(-order // 2, order // 2 + 1, dtype=np.float64)
     conditions = np.vander(offsets, increasing=True).T
     weights = np.linalg.solve(conditions, np.eye(order + 1)[1])
@@ -79,7 +80,7 @@ def savitzky_golay(window: int = 9, degree: int = 4) -> Stencil:
 def gaussian(width: float = 1.5) -> Stencil:
     """Derivative of the signal smoothed by a Gaussian of standard deviation `width` samples (SciPy's filter)."""
     if not 0.25 <= width < np.inf:
-        raise ValueError(f"Gaussian width {width} samples; expected at least 0.25, narrower ones reach no neighbour")
+        raise ValueError(f"Gaussian width {width} samples; expected at least 0.25, to include neighbouring samples")
     half = int(np.ceil(4 * width))
     impulse = np.zeros(4 * half + 1)
     impulse[2 * half] = 1.0

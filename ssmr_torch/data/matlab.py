@@ -1,5 +1,5 @@
-"""MATLAB files as the groups of SSMLearn and of soft-robot Koopman control write them; raw, in their own
-units."""
+"""Reads MATLAB files in the layouts of SSMLearn and of soft-robot Koopman control; values keep the units of the file.
+"""
 
 from __future__ import annotations
 
@@ -18,16 +18,15 @@ def read_ssmlearn_cells(path: str | Path,
                         names: tuple[str, ...] = CELL_NAMES) -> list[tuple[np.ndarray, np.ndarray]]:
     """Trajectories in a cell array of rows {time, observation, …}, the array or its cells transposed or not.
 
-    Reads MATLAB 5 and 7.3 files; the first variable of `names` that is there is taken, further columns are
-    ignored.
+    It reads MATLAB 5 and 7.3 files. It takes the first variable of `names` that exists, and ignores further columns.
     Returns (time (T,), observation (T, p)) for each trajectory.
-    Raises FileNotFoundError, or ValueError when the file or its layout is another.
+    Raises FileNotFoundError, or ValueError for a file of another kind or layout.
     """
     path = _existing(path)
     with _Variables(path) as variables:
         name = next((n for n in names if n in variables.names), None)
         if name is None:
-            raise ValueError(f"{path.name} holds {sorted(variables.names)}; expected a cell array named "
+            raise ValueError(f"{path.name} contains {sorted(variables.names)}; expected a cell array named "
                              f"{' or '.join(names)}")
         cells = variables.cells(name)
     if cells.ndim != 2 or min(cells.shape) < 1 or max(cells.shape) < 2:
@@ -35,27 +34,27 @@ def read_ssmlearn_cells(path: str | Path,
                          "{time, observation}")
     fitting = [table for table in (cells, cells.T)
                if table.shape[1] >= 2 and all(_is_vector(row[0]) and _fits(row) for row in table)]
-    # Two scalar trajectories fit both ways; only time always increases.
+    # Two scalar trajectories fit both orientations, but only time always increases.
     fitting.sort(key=lambda table: sum(np.any(np.diff(np.ravel(row[0])) <= 0) for row in table))
     if fitting:
         return [_oriented(row[0], row[1]) for row in fitting[0]]
     shapes = [np.shape(cell) for cell in cells.flat[:4]]
-    raise ValueError(f"{path.name}: {name} {cells.shape} holds arrays {shapes}…; "
+    raise ValueError(f"{path.name}: {name} {cells.shape} contains arrays {shapes}…; "
                      "expected rows {time 1×T, observation p×T}")
 
 
 def read_koopman_struct(path: str | Path) -> dict[str, np.ndarray]:
-    """The fields t (T,), y (T, p), u (T, m) of a run, and the other numeric fields as they are.
+    """The fields t (T,), y (T, p), u (T, m) of a run, and the other numeric fields unchanged.
 
-    The fields lie at the top or in one struct; y and u may be p×T or T×p. Reads MATLAB 5 and 7.3 files.
-    Raises FileNotFoundError, or ValueError when a field is missing, not numeric, or fits no time axis.
+    The fields are at the top level or in one struct; y and u may be p×T or T×p. It reads MATLAB 5 and 7.3 files.
+    Raises FileNotFoundError, or ValueError if a field is missing, not numeric, or has another length than t.
     """
     path = _existing(path)
     with _Variables(path) as variables:
         fields = variables.fields(("t", "y", "u"))
     missing = [name for name in ("t", "y", "u") if name not in fields]
     if missing:
-        raise ValueError(f"{path.name} holds the fields {sorted(fields)}; {missing} missing, expected t, y "
+        raise ValueError(f"{path.name} contains the fields {sorted(fields)}; {missing} missing, expected t, y "
                          "and u")
     time = fields["t"]
     if not _is_vector(time):
@@ -70,7 +69,7 @@ def read_koopman_struct(path: str | Path) -> dict[str, np.ndarray]:
 
 
 def read_vector(path: str | Path, name: str) -> np.ndarray:
-    """One numeric variable, flattened (n,). Raises FileNotFoundError, or ValueError when it is not there."""
+    """One numeric variable, flattened (n,). Raises FileNotFoundError, or ValueError if it does not exist."""
     path = _existing(path)
     with _Variables(path) as variables:
         fields = variables.fields((name,))
@@ -80,7 +79,7 @@ def read_vector(path: str | Path, name: str) -> np.ndarray:
 
 
 class _Variables:
-    """The named variables of a MATLAB file, whichever of the two file formats it has."""
+    """The named variables of a MATLAB file in either of the two file formats."""
 
     def __init__(self, path: Path):
         self.path, self.file, self.content = path, None, {}
@@ -104,7 +103,7 @@ class _Variables:
             self.file.close()
 
     def cells(self, name: str) -> np.ndarray:
-        """The cell array as MATLAB shows it: an object array of numeric arrays."""
+        """The cell array in MATLAB's orientation, as an object array of numeric arrays."""
         if self.file is None:
             value, is_cell = self.content[name], getattr(self.content[name], "dtype", None) == np.dtype(object)
         else:
@@ -115,7 +114,7 @@ class _Variables:
                              "{time, observation}")
         if self.file is None:
             return value
-        # MATLAB stores columns first, so everything in its HDF5 files lies transposed.
+        # MATLAB stores columns first, so all arrays in its HDF5 files are transposed.
         references = value[()].T
         cells = np.empty(references.shape, dtype=object)
         for index, reference in np.ndenumerate(references):
@@ -123,7 +122,7 @@ class _Variables:
         return cells
 
     def fields(self, wanted: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """Numeric arrays by name, from the top or from the first struct that has a wanted field."""
+        """Numeric arrays by name, from the top level or from the first struct that has a wanted field."""
         if self.file is not None:
             structs = [g for n, g in self.file.items() if isinstance(g, h5py.Group) and n[0] != "#"]
             tables = [{n: d[()].T for n, d in g.items()
@@ -141,7 +140,7 @@ class _Variables:
 def _existing(path: str | Path) -> Path:
     path = Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"no file {path}; give the path of a MATLAB file")
+        raise FileNotFoundError(f"there is no file {path}; give the path of a MATLAB file")
     if path.stat().st_size == 0:
         raise ValueError(f"{path.name} is empty; expected a MATLAB file")
     return path
@@ -159,5 +158,5 @@ def _fits(row) -> bool:
 
 def _oriented(time, observation) -> tuple[np.ndarray, np.ndarray]:
     time, observation = np.asarray(time, dtype=np.float64).ravel(), np.asarray(observation, dtype=np.float64)
-    # A square array is taken as SSMLearn lays it out: one column per sample.
+    # A square array is read in SSMLearn's layout: one column per sample.
     return time, observation.T if observation.shape[1] == len(time) else observation

@@ -1,6 +1,7 @@
-"""Readers of recordings; each returns a dataset in SI units, measured from rest, without seams, on a uniform grid.
+"""Reader of stored trajectory files, for `data=stored`.
 
-The keyword arguments are the keys of the data configurations.
+Every reader of recordings returns a dataset in SI units, measured from rest, without seams, on a uniform time grid. Its
+keyword arguments are the keys of the data configuration.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ __all__ = ["custom", "stored"]
 
 
 def stored(path: str | Path | Sequence[str | Path]) -> TrajectoryDataset:
-    """The dataset in a file that `TrajectoryDataset.save` wrote, or in several of the same robot; nothing is converted.
+    """The dataset in a file written by `TrajectoryDataset.save`, or in several files of one robot, without conversion.
 
-    Adds the SHA-256 of the file to the provenance, as "stored", and of further ones, as "joined". Raises
-    FileNotFoundError, or ValueError for a file of another kind, a truncated one, or files whose outputs, inputs,
-    input unit or rest differ.
+    It adds the SHA-256 of the file to the provenance as "stored", and those of further files as "joined". Raises
+    FileNotFoundError, or ValueError for a file of another kind, a truncated file, or files whose outputs, inputs, input
+    unit or rest differ.
     """
     paths = [path] if isinstance(path, (str, Path)) else list(path)
     datasets = [_opened(each) for each in paths]
@@ -31,8 +32,8 @@ def stored(path: str | Path | Sequence[str | Path]) -> TrajectoryDataset:
         for what in ("output_names", "input_names", "input_unit", "rest"):
             one, two = getattr(datasets[0], what), getattr(other, what)
             if not (np.allclose(one, two, rtol=0, atol=1e-6) if what == "rest" else one == two):
-                raise ValueError(f"{paths[0]} and {name} differ in {what}, {one} and {two}; "
-                                 "train on runs of one robot")
+                raise ValueError(f"{paths[0]} and {name} differ in {what}: {one} and {two}; "
+                                 "join only files of one robot")
     provenance = datasets[0].provenance | {"stored": fingerprint(paths[0])}
     if len(paths) > 1:
         provenance["joined"] = [fingerprint(each) for each in paths[1:]]

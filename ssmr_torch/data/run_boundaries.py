@@ -1,31 +1,29 @@
-"""Where a recording is not one run: jumps that no dynamics explains, and holes in time."""
+"""Finds the boundaries of runs in a recording: seams (jumps that no dynamics explains) and gaps in time."""
 
 from __future__ import annotations
 
 import numpy as np
 
-GUARD = 6           # samples around a jump that are touched by it
-LONGEST_BLIP = 3    # samples that a camera may see wrongly before it returns to the robot
+GUARD = 6           # number of samples around a jump that it affects
+LONGEST_BLIP = 3    # largest number of wrong camera samples in a row
 
 
 def find_seams(observation: np.ndarray, speed_ratio: float = 5.0, gap_ratio: float = 20.0,
                extent_ratio: float = 0.1, window: int = 50) -> np.ndarray:
-    """Rows at which another run begins although the recording goes on.
+    """Rows at which another run begins within a recording (seams).
 
-    A massive body moves on with its velocity, so the two straight lines through the samples on either side of
-    the boundary between rows k-1 and k must meet:
+    A body with mass keeps its velocity. The two straight lines through the samples on either side of the boundary
+    between rows k-1 and k must therefore meet:
 
         gap_k = ‖ y_k - y_{k-1} - (d_{k-1} + d_{k+1}) / 2 ‖,   d_j = y_j - y_{j-1}.
 
-    Row k is a seam when gap_k exceeds `speed_ratio` times the largest step and `gap_ratio` times the largest
-    other gap of the `window` samples on either side and `extent_ratio` times the diagonal of the workspace,
-    and remains when up to three samples next to it are ignored (a wrong sample of a camera jumps, too, but
-    returns; so does the slip of a lost marker, which is small). The largest seam is found first; windows end
-    at seams.
+    Row k is a seam if gap_k exceeds `speed_ratio` times the largest step and `gap_ratio` times the largest other gap in
+    the `window` samples on either side, and also `extent_ratio` times the diagonal of the workspace. It must also do so
+    if up to three samples next to it are ignored, because a wrong camera sample jumps as well but returns, and so does
+    the small slip of a lost marker. The largest seam is found first; windows end at seams.
 
-    Not found: smaller jumps, seams within six samples of the ends or of each other, and those where the
-    position is continuous and only the velocity jumps, since a step of the input and stick-slip look the
-    same. Declare those.
+    It does not find smaller jumps, seams within six samples of the ends or of each other, and seams at which only the
+    velocity jumps, because a step of the input and stick-slip look the same. Declare such seams.
 
     observation: (T, p), any unit. Returns sorted row numbers from 0, (n,).
     """
@@ -46,14 +44,13 @@ def find_seams(observation: np.ndarray, speed_ratio: float = 5.0, gap_ratio: flo
 
 
 def persistent_gap(observation: np.ndarray) -> np.ndarray:
-    """gap_k of `find_seams`, the smallest over which samples next to the boundary are ignored; (T,).
-
+    """gap_k of `find_seams`, (T,): the smallest gap over all choices of ignored samples next to the boundary.
     The first and last six entries are zero.
     """
     y = observation
     k = np.arange(GUARD, len(y) - GUARD)
     gap = np.full(len(k), np.inf)
-    # One more than the blip: the slope next to it is wrong as well.
+    # one more than LONGEST_BLIP, because the slope next to wrong samples is wrong as well
     ignored = range(1, LONGEST_BLIP + 2)
     for before, after in [(0, 0), *((n, 0) for n in ignored), *((0, n) for n in ignored)]:
         left, right = k - 1 - before, k + after
@@ -64,14 +61,13 @@ def persistent_gap(observation: np.ndarray) -> np.ndarray:
 
 
 def find_time_gaps(time: np.ndarray, longest: float = 3.0) -> np.ndarray:
-    """Rows before which more than `longest` median sampling intervals passed: samples were lost there."""
+    """Rows before which more than `longest` median sampling intervals passed, because samples were lost."""
     steps = np.diff(time)
     return np.flatnonzero(steps > longest * np.median(steps)) + 1
 
 
 def count_blips(observation: np.ndarray, ratio: float = 5.0) -> int:
-    """Single samples that jump away by more than `ratio` times the local step and come back (camera
-    errors)."""
+    """Number of single samples that jump away by more than `ratio` times the local step and return (camera errors)."""
     y = np.asarray(observation, dtype=np.float64)
     if len(y) < 5:
         return 0
@@ -83,11 +79,11 @@ def count_blips(observation: np.ndarray, ratio: float = 5.0) -> int:
 
 
 def count_frozen(observation: np.ndarray, window: int = 5) -> int:
-    """Samples that repeat a measured value exactly while the robot moves on (the camera lost the marker).
+    """Number of samples that repeat a value exactly while the robot moves (the camera lost the marker).
 
-    Rounded values repeat as well, at rest and where they turn. So over the `window` samples before and after,
-    the value must move the same way, each time by more than two of its smallest steps and half its median step
-    a sample.
+    Rounded values also repeat at rest and at turning points. Therefore the value must move in the same direction over
+    the `window` samples before and after, each time by more than two of its smallest steps and by more than half its
+    median step per sample.
     """
     rows = np.arange(len(observation))
     frozen = np.zeros(len(rows), dtype=bool)
@@ -106,10 +102,10 @@ def count_frozen(observation: np.ndarray, window: int = 5) -> int:
 
 
 def check_seams(found, known, source: str) -> None:
-    """Raises ValueError when the seams found in a well-known file are not where they are known to be."""
+    """Raises ValueError if the seams found in a published file differ from its known seams."""
     if list(found) != list(known):
-        raise ValueError(f"{source}: seams found before rows {[int(k) for k in found]}, expected before rows "
-                         f"{list(known)}; this is not the published file, read it with a card (data=custom)")
+        raise ValueError(f"{source}: seams were found before rows {[int(k) for k in found]}, but expected before rows "
+                         f"{list(known)}. This is not the published file; read it with a recording card (data=custom)")
 
 
 def _neighbours(k: int, seams: list[int], length: int, window: int) -> np.ndarray:

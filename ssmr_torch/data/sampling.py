@@ -1,4 +1,4 @@
-"""From the clock of a recording to the uniform grid of a trajectory."""
+"""Resamples a recording from its own times to the uniform time grid of a trajectory."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ IRREGULAR = 0.3
 
 @dataclass(frozen=True)
 class SamplingRule:
-    """What to do with samples that are not where a uniform grid wants them.
+    """What to do with samples that are not on a uniform grid.
 
-    sampling: "resample" onto the grid, or "refuse" what is not uniform already.
-    timestep: s, of the grid; None takes the median interval (four digits).
+    sampling: "resample" to the grid, or "refuse" recordings that are not uniform.
+    timestep: s, of the grid; None: the median interval, rounded to four digits.
     irregularity: largest share of the median interval by which 95 % of the intervals may deviate.
     missing: "refuse" rows that are not finite, or "split" the run there.
-    minimum_length: samples; shorter runs are left out.
+    minimum_length: number of samples; shorter runs are left out.
     """
 
     sampling: str = "resample"
@@ -35,21 +35,20 @@ class SamplingRule:
             if value not in known:
                 raise ValueError(f"{key} is {value!r}; expected one of {known}")
         if self.timestep is not None and not self.timestep > 0:
-            raise ValueError(f"timestep is {self.timestep} s; it must be positive")
+            raise ValueError(f"timestep is {self.timestep} s; expected a positive number")
         if not (self.irregularity > 0 and self.minimum_length >= 2):
             raise ValueError(f"irregularity is {self.irregularity} and minimum_length {self.minimum_length}; "
                              "expected a positive share and at least 2 samples")
 
 
 def irregularity(time: np.ndarray) -> float:
-    """The share of the median sampling interval by which 95 % of the intervals deviate at most."""
+    """Largest deviation of 95 % of the sampling intervals from the median interval, as a share of it."""
     steps = np.diff(time)
     return float(np.quantile(np.abs(steps / np.median(steps) - 1), 0.95))
 
 
 def is_uniform(time: np.ndarray, timestep: float) -> bool:
-    """Whether all intervals agree with each other and with `timestep` within the tolerance of a
-    trajectory."""
+    """Whether all intervals are equal to `timestep` within the tolerance of a trajectory."""
     steps = np.diff(time)
     return bool(np.abs(steps / steps.mean() - 1).max() <= JITTER_TOLERANCE
                 and abs(steps.mean() / timestep - 1) <= JITTER_TOLERANCE)
@@ -57,15 +56,15 @@ def is_uniform(time: np.ndarray, timestep: float) -> bool:
 
 def resample(time: np.ndarray, observation: np.ndarray, inputs: np.ndarray,
              timestep: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The run on the grid time[0] + k·timestep, as far as it was recorded.
+    """The run on the grid time[0] + k·timestep, up to the end of the recording.
 
-    Observations are read off the cubic spline (error O(timestep⁴) for smooth motion). Inputs are held between
-    the irregular times; on the grid they become
+    Observations are values of a cubic spline (error O(timestep⁴) for smooth motion). Inputs are held between the
+    irregular times; on the grid they become
 
         input[k] = (1 / timestep) ∫ u(t) dt   from grid[k] to grid[k+1],
 
-    which keeps the impulse. (Taking the latest sample instead delays by a whole step every input that comes
-    microseconds after its grid point.)
+    which keeps the impulse. (The latest sample instead would delay an input by a whole step if it comes microseconds
+    after its grid point.)
     """
     count = int(np.floor((time[-1] - time[0]) / timestep * (1 + 1e-12) + 1e-9)) + 1
     grid = time[0] + timestep * np.arange(count)
@@ -88,10 +87,9 @@ def mean_of_held(time: np.ndarray, inputs: np.ndarray, edges: np.ndarray) -> np.
 
 def to_grid(time: np.ndarray, observation: np.ndarray, inputs: np.ndarray, rule: SamplingRule,
             timestep: float, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The run on a uniform grid; as it is, if it is uniform already.
+    """The run on a uniform grid; unchanged, if it is already uniform.
 
-    Raises ValueError when the rule is to refuse and the run is not uniform, or when it is too irregular to
-    resample.
+    Raises ValueError if the run is not uniform and the rule says "refuse", or if it is too irregular to resample.
     """
     if is_uniform(time, timestep):
         return time, observation, inputs
@@ -103,12 +101,12 @@ def to_grid(time: np.ndarray, observation: np.ndarray, inputs: np.ndarray, rule:
 
 
 def refuse_irregular(time: np.ndarray, rule: SamplingRule, timestep: float, name: str) -> None:
-    """Raises ValueError when the intervals deviate by more than the rule lets interpolation bridge."""
+    """Raises ValueError if the intervals deviate by more than the rule permits for interpolation."""
     spread = irregularity(time)
     if spread > rule.irregularity:
         raise ValueError(f"{_facts(time, timestep, name)}; 5 % of them deviate by more than "
                          f"{100 * spread:.3g} % from the median, the limit is {100 * rule.irregularity:.3g} "
-                         "%; record with a steady clock, or raise irregularity to interpolate all the same")
+                         "%; record with a steady clock, or raise irregularity to interpolate anyway")
 
 
 def _facts(time: np.ndarray, timestep: float, name: str) -> str:

@@ -1,4 +1,4 @@
-"""Samples that two runs share: a test that is part of the training tells nothing."""
+"""Finds samples that two runs share, because a test run that is part of a training run makes its score useless."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ssmr_torch.trajectory import Trajectory
 
-LENGTH = 16         # samples in a row that must agree
-FINENESS = 1e-7     # of the range, within which numbers count as equal
-MOVED = 0.005       # of the range; stretches at rest look all alike
-SHARED = 0.02       # of a run, from which on it counts as part of another
+LENGTH = 16         # number of consecutive samples that must agree
+FINENESS = 1e-7     # numbers that differ by less than this share of the range count as equal
+MOVED = 0.005       # smallest motion as a share of the range, because all samples at rest look alike
+SHARED = 0.02       # share of a run above which it counts as part of another run
 
 
 def shared_rows(run: Trajectory, others: Sequence[Trajectory]) -> tuple[int, str]:
-    """How many samples of a run are contained in one of the others, in the same order, and the name of that one.
+    """Number of samples of a run that another run contains in the same order, and the name of that run.
 
-    Outputs and inputs of `LENGTH` samples in a row agree to `FINENESS` of their range; stretches without motion do not
-    count. Returns 0 and "" where there are none.
+    Outputs and inputs of `LENGTH` consecutive samples must agree within `FINENESS` of their range. Samples without
+    motion do not count. Returns 0 and "" if there are none.
     """
     tables = [np.hstack([each.observation, each.input]) for each in (run, *others)]
     low, high = (np.min([each.min(0) for each in tables], axis=0), np.max([each.max(0) for each in tables], axis=0))
@@ -35,7 +35,7 @@ def shared_rows(run: Trajectory, others: Sequence[Trajectory]) -> tuple[int, str
 
 
 def is_copied(run: Trajectory, rows: int) -> bool:
-    """Whether so many shared samples make a run part of another."""
+    """Whether a run with this number of shared samples counts as part of another run."""
     return rows > max(LENGTH, SHARED * run.length)
 
 
@@ -52,7 +52,9 @@ def equal_pairs(runs: Sequence[Trajectory]) -> list[tuple[str, str]]:
 
 
 def _marks(table: np.ndarray, outputs: int) -> np.ndarray:
-    """(T,) a number for the `LENGTH` samples from each row on, equal for equal ones; 0 at rest and near the end."""
+    """(T,), a hash of the `LENGTH` samples that begin at each row; equal samples give equal numbers, and 0 marks rest
+    and rows near the end.
+    """
     marks = np.zeros(len(table), dtype=np.uint64)
     if len(table) < LENGTH:
         return marks

@@ -1,4 +1,4 @@
-"""From which samples of recorded runs a model is scored, and on which runs."""
+"""Starts of the rollouts that score a model: random samples of the scored runs."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from ssmr_torch.periods import TOLERANCE
 
 @dataclass(frozen=True, eq=False)
 class ScoredRuns:
-    """What a model in training is scored on, over `horizon` s from `starts` samples that `seed` draws.
+    """The runs on which a model is scored during training, over `horizon` s from `starts` samples drawn with `seed`.
 
-    runs: as measured, what predictions are compared with. seen: the same with noise, where the windows that
-    predictions start from carry any.
+    runs: the measured runs, to which predictions are compared. seen: the same runs, with noise if the windows at the
+    starts have noise.
     """
 
     runs: tuple
@@ -25,20 +25,20 @@ class ScoredRuns:
     seed: int
 
     def to(self, device) -> ScoredRuns:
-        """Itself: the scorer moves one block of windows after the other."""
+        """Unchanged, because the scorer moves one block of windows at a time to the device."""
         return self
 
 
 def draw_starts(lengths: np.ndarray, margin: int, span: int, count: int,
                 seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """`count` different starts, uniform over all samples with `margin` before and `span` after in their
-    trajectory.
+    """`count` different starts, drawn uniformly from all samples with `margin` samples before and `span` samples after
+    them in their trajectory.
 
-    lengths: (R,) samples per trajectory. Returns trajectory and sample (N,) of each start, in order; all
-    admissible ones where there are fewer than `count`. Raises ValueError when there is none.
+    lengths: (R,), number of samples of each trajectory. Returns trajectory (N,) and sample (N,) of each start, in
+    order; all possible starts if there are fewer than `count`. Raises ValueError if there is none.
     """
     if count < 1 or margin < 0 or span < 1:
-        raise ValueError(f"{count} starts with {margin} samples before and {span} after; "
+        raise ValueError(f"{count} starts with {margin} samples before and {span} samples after them; "
                          "expected at least 1, 0 and 1")
     lengths = np.asarray(lengths)
     admissible = np.maximum(lengths - margin - span, 0)
@@ -55,19 +55,20 @@ def draw_starts(lengths: np.ndarray, margin: int, span: int, count: int,
 
 def starts_over(lengths: np.ndarray, horizon: float, timestep: float, *, margin: int, count: int,
                 seed: int) -> tuple[np.ndarray, np.ndarray, int]:
-    """`draw_starts` of which each has the horizon (s) after it, and the samples in that.
+    """`draw_starts` with the horizon (s) after every start. It also returns the number of samples in the horizon.
 
-    timestep: sampling time, s. Raises ValueError where the horizon holds no sample, or no trajectory the horizon.
+    timestep: sampling time, s. Raises ValueError if the horizon is shorter than a sample or longer than all
+    trajectories.
     """
     span = samples_within(horizon, timestep)
     if span < 1:
-        raise ValueError(f"the horizon of {horizon:g} s is shorter than a sample: the data are {timestep:g} s apart; "
-                         "take longer horizons")
+        raise ValueError(f"the horizon of {horizon:g} s is shorter than the sampling time of the data, {timestep:g} s; "
+                         "take a longer horizon")
     return *draw_starts(lengths, margin, span, count, seed), span
 
 
 def samples_within(horizon: float, timestep: float) -> int:
-    """Whole timesteps in a horizon, both in s. Raises ValueError for a horizon that is no positive number."""
+    """Number of whole timesteps in a horizon, both in s. Raises ValueError unless the horizon is positive."""
     if not (math.isfinite(horizon) and horizon > 0):
         raise ValueError(f"a horizon of {horizon} s; expected a positive number of seconds")
     ratio = horizon / timestep

@@ -10,7 +10,7 @@ from ssmr_torch.trajectory import TrajectoryDataset
 
 
 def limited(training: tuple, decays: int | None, duration: float | None) -> tuple:
-    """The first `decays` decays, and runs of other kinds until `duration` s are reached."""
+    """The first `decays` decays, and the first `duration` s of the runs of other kinds."""
     kept, counted, left = [], 0, float("inf") if duration is None else duration
     for run in training:
         if run.kind == "decay":

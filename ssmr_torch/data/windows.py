@@ -1,4 +1,4 @@
-"""Delay windows and the segments in which long trajectories are streamed."""
+"""Delay windows, segments of long trajectories for closed-form fits, and rollouts for gradient fits."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from torch.utils.data import Dataset
 
 
 def delay_windows(samples, delays: int):
-    """Samples (T, p) → windows (T - n_d, n_d + 1, p), oldest first, labelled by their newest sample.
+    """Samples (T, p) → windows (T - n_d, n_d + 1, p), oldest sample first; window k ends at sample n_d + k.
 
-    Works on NumPy arrays and Torch tensors alike. Raises ValueError when T ≤ n_d.
+    It takes NumPy arrays and Torch tensors. Raises ValueError if T ≤ n_d.
     """
     if len(samples) <= delays:
         raise ValueError(f"{len(samples)} samples; a window of {delays} delays needs at least {delays + 1}")
@@ -25,7 +25,7 @@ def delay_windows(samples, delays: int):
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of one trajectory: core samples, which belong to this segment only, and context around them.
+    """A part of one trajectory: core samples, which belong only to this segment, and context around them.
 
     observation (L, p), input (L, m); samples core[0] ≤ i < core[1] of these L are the core.
     trajectory, index: position of the trajectory in its dataset and of the segment in its trajectory.
@@ -43,13 +43,14 @@ class Segment:
         return replace(self, observation=self.observation.to(device), input=self.input.to(device))
 
     def core_rows(self, rows, first: int):
-        """Of `rows`, whose row r belongs to sample first + r, those that belong to core samples."""
+        """The rows that belong to core samples; row r of `rows` belongs to sample first + r."""
         return rows[max(self.core[0] - first, 0):max(self.core[1] - first, 0)]
 
 
 @dataclass(frozen=True)
 class SegmentPlan:
-    """Where a segment lies in its trajectory: samples start ≤ k < stop are read, core[0] ≤ k < core[1] are its own."""
+    """Position of a segment in its trajectory: samples start ≤ k < stop are read, core[0] ≤ k < core[1] are its core.
+    """
 
     trajectory: int
     index: int
@@ -61,14 +62,14 @@ class SegmentPlan:
 class SegmentDataset(Dataset):
     """Trajectories cut into segments of at most `rows` core samples; each sample is core in exactly one segment.
 
-    before, after: context samples that a row needs on either side (delays and derivative stencil).
+    before, after: number of context samples that a row needs on either side (delays and derivative stencil).
     transient: s cut from the start of every decay. Only one segment is in memory at a time.
-    Raises ValueError when a trajectory ends before its transient and one window, or rows < 1.
+    Raises ValueError if a trajectory is shorter than its transient and one window, or if rows < 1.
     """
 
     def __init__(self, trajectories: Sequence, *, before: int, after: int, rows: int = 1024, transient: float = 0.0):
         if rows < 1:
-            raise ValueError(f"rows is {rows}; a segment holds at least 1 core sample")
+            raise ValueError(f"rows is {rows}; expected at least 1 core sample per segment")
         self.trajectories = tuple(trajectories)
         self.plans: list[SegmentPlan] = []
         for number, trajectory in enumerate(self.trajectories):
@@ -76,8 +77,8 @@ class SegmentDataset(Dataset):
             if first + before + after >= trajectory.length:
                 raise ValueError(f"trajectory {trajectory.name or number!r} has {trajectory.length} samples; "
                                  f"a transient of {first} samples and {before + after} samples of context leave none; "
-                                 "shorten the transient or the delays, or drop the trajectory")
-            # even the first segment, with no context before it, holds one whole window
+                                 "use a shorter transient or fewer delays, or leave this trajectory out")
+            # the first segment has no context before it, but must contain one whole window
             shortest = first + before + after + 1
             for index, start in enumerate(range(first, trajectory.length, rows)):
                 stop = min(start + rows, trajectory.length)
@@ -97,9 +98,9 @@ class SegmentDataset(Dataset):
 
 
 class SegmentShare(Dataset):
-    """One process's part of the segments: each is in exactly one part, and all parts are equally long.
+    """The part of the segments for one process. Each segment is in exactly one part, and all parts are equally long.
 
-    Processes of a distributed run step together, so a shorter part ends with a segment that has no core samples.
+    Processes of a distributed run step together. A shorter part therefore ends with a segment without core samples.
     """
 
     def __init__(self, segments: SegmentDataset, rank: int, processes: int):
@@ -117,7 +118,7 @@ class SegmentShare(Dataset):
 
 @dataclass(frozen=True)
 class RolloutBatch:
-    """Windows (N, n_d + 1, p) with inputs (N, n_d, m), and what followed: inputs (N, H, m) → outputs (N, H, p)."""
+    """Windows (N, n_d + 1, p) with inputs (N, n_d, m), and the next H samples: inputs (N, H, m), outputs (N, H, p)."""
 
     window: Tensor
     window_inputs: Tensor
@@ -129,12 +130,12 @@ class RolloutBatch:
 
 
 class RolloutDataset(Dataset):
-    """Seeded starts in trajectories, each with its window and the H samples that follow; never across two runs.
+    """Random starts in trajectories, each with its window and the next H samples; no rollout crosses a run boundary.
 
-    sampling: samples per model step: windows are spaced and outputs are sampled by it, and each input is the mean over
-    its step. delays, horizon: in model steps.
-    starts: number of starts drawn uniformly over all admissible ones, or None for all of them, `stride` apart.
-    Raises ValueError when no trajectory is long enough.
+    sampling: number of samples per model step. Windows and outputs are spaced by it, and each input is the mean over a
+    step. delays, horizon: in model steps.
+    starts: number of starts, drawn uniformly from all possible ones; None: all of them, `stride` samples apart.
+    Raises ValueError if no trajectory is long enough.
     """
 
     def __init__(self, trajectories: Sequence, *, delays: int, horizon: int, starts: int | None = None,
@@ -150,9 +151,9 @@ class RolloutDataset(Dataset):
         if not len(everything):
             longest = max((t.length for t in self.trajectories), default=0)
             apart = f", {sampling} samples apart," if sampling > 1 else ""
-            raise ValueError(f"no start fits: {delays} delays and a horizon of {horizon} samples{apart} need "
-                             f"{before + after + 1} samples, the longest of {len(self.trajectories)} trajectories "
-                             f"has {longest}; shorten the horizon")
+            raise ValueError(f"all runs are too short: {delays} delays and a horizon of {horizon} samples{apart} need "
+                             f"{before + after + 1} samples, but the longest of {len(self.trajectories)} trajectories "
+                             f"has {longest}; use a shorter horizon or fewer delays")
         if starts is not None and starts < len(everything):
             everything = everything[np.random.default_rng(seed).choice(len(everything), starts, replace=False)]
         self.starts = everything

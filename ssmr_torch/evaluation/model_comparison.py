@@ -21,11 +21,12 @@ from ssmr_torch.trained_model import TrainedModel
 class Comparison:
     """Scores of several models, persistence and constant velocity from the same starts; `ssmr_torch.compare` makes one.
 
-    models: by name. chosen: what was chosen of each, in words; refused: kinds that could not be fitted, and why.
-    found: the scores by group of runs, m. reach: the largest ‖y‖ of the test runs over the scored outputs, m. cpu: CPU
-    time of each choice and fit, s.
-    Prints itself as one table for each group: mean error in mm by horizon, share of diverged rollouts, error over the
-    longest horizon in % of the reach, CPU time; then what was chosen.
+    models: the models by name. chosen: a text on the chosen form of each; refused: kinds that could not be fitted, and
+    why. found: the scores by group of runs, m. reach: the largest ‖y‖ of the test runs over the scored outputs, m. cpu:
+    CPU time of each choice and fit, s.
+
+    It prints as one table per group: mean error in mm by horizon, share of diverged rollouts, error over the longest
+    horizon in % of the reach, CPU time; then the chosen forms.
     """
 
     models: Mapping[str, TrainedModel]

@@ -25,12 +25,13 @@ from ssmr_torch.trajectory import refuse_other_data
 
 
 class ScoreTable(Mapping):
-    """Scores by model and horizon: `table["SSMR"]["200 ms"].mean` is an error in m, and so are .median and .p95;
-    .nmte is the normalized mean trajectory error; `table["SSMR"].noisy["200 ms"]` the same with the noise of the loop.
+    """Scores by model and horizon. `table["SSMR"]["200 ms"].mean` is an error in m, and so are .median and .p95; .nmte
+    is the normalized mean trajectory error. `table["SSMR"].noisy["200 ms"]` is the same score with measurement noise.
 
-    groups: a table for each group of runs, by name, where there are several (decays, smooth inputs, inputs as an MPC
-    makes them, …); the table itself is over all controlled runs, or over the decays where there are no others.
-    Prints itself as a table of mean / median errors in mm, group by group.
+    groups: a table for each group of runs, by name, if there are several groups (decays, smooth inputs, inputs of an
+    MPC, …). The table itself is over all controlled runs, or over the decays if there are no others.
+
+    It prints as a table of mean / median errors in mm, group by group.
     """
 
     def __init__(self, scores: Mapping[str, OpenLoopScore], runs: str, groups: Mapping[str, ScoreTable] | None = None):
@@ -91,17 +92,18 @@ def score(model, data, *, split: str = "test", kind: str | None = "controlled", 
 
         error of a start = √(1/H Σ_{k=1..H} ‖ŷ_k − y_k‖²), m, at every sample k of the recording
 
-    model: what `fit` or `load` returns; several as a list, or by name in a mapping. data: a TrajectoryDataset. split,
-    kind: of the runs that are scored, None for decays and controlled runs, which are scored apart; where none is of
-    this kind, those of the split. Runs whose names differ in a counter are a group, scored apart as well. horizons: s
-    (0.1 beside the others where the model is to control); "full" is added, one rollout per run. starts: seeded samples
-    per horizon, all where there are fewer. outputs: names of those that count. noise: of the loop, standard deviation
-    in m: the same once more with it on the windows that rollouts start from.
-    Inputs are the recorded ones, see `evaluation.open_loop.score_open_loop` for the rest.
-    Raises ValueError for data of other outputs or inputs than the model's, without such runs, or runs that are too
-    short.
+    model: the result of `fit` or `load`; several models as a list, or by name in a mapping. data: a TrajectoryDataset.
+    split, kind: the runs that are scored. kind None: decays and controlled runs, scored separately. Without runs of
+    this kind, all runs of the split are scored. Runs whose names differ only in a number form a group, which is also
+    scored separately. horizons: s (use 0.1 as well if the model is for control); "full" is added, one rollout per run.
+    starts: number of random starts per horizon; all, if there are fewer. outputs: names of the outputs that count.
+    noise: m, standard deviation of measurement noise; a second score then has this noise on the windows at the starts.
+    The inputs are those recorded. See `evaluation.open_loop.score_open_loop` for the rest.
 
-    >>> table = score(model, data, horizons=[0.2])                          # of an oscillator, which DMD knows exactly
+    Raises ValueError if the outputs or inputs of the data differ from the model's, if there are no such runs, or if the
+    runs are too short.
+
+    >>> table = score(model, data, horizons=[0.2])              # an oscillator, which DMD can predict exactly
     >>> list(table)
     ['DMD', 'persistence', 'constant velocity']
     >>> for name, errors in table.items():

@@ -1,4 +1,4 @@
-"""SSMR in closed form: the regressions of each stage, and where their solutions go."""
+"""Least-squares fit of SSMR in closed form: tangent space, reparametrization, manifold and control, stage by stage."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Regression(NamedTuple):
 
 
 class LeastSquaresModel(Protocol):
-    """A model that is fitted in closed form, stage after stage, one pass over the data each."""
+    """A procedure that fits a model in closed form, in stages. Each stage takes one pass over the data."""
 
     stages: tuple[str, ...]
     names: tuple[str, ...]
@@ -32,10 +32,10 @@ class LeastSquaresModel(Protocol):
     after: int
 
     def regressions(self, segment: Segment, stage: str) -> dict[str, Regression]:
-        """The rows that one segment contributes to the regressions of a stage; none for a segment of another kind."""
+        """The rows of one segment for the regressions of a stage; none if its kind of run is not used."""
 
     def assign(self, stage: str, solutions: Mapping[str, Solution]) -> None:
-        """Put the solutions of a stage in place."""
+        """Write the solutions of a stage into the model."""
 
 
 class SSMRLeastSquares(nn.Module):
@@ -44,19 +44,21 @@ class SSMRLeastSquares(nn.Module):
     tangent_space: SVD of the decays' windows; V holds the n leading directions.
     reparametrization (only if detection_delays > model.delays): z̄ from the long windows; the model's own window is
         regressed on z̄^{1:n_w}; V = Gram-Schmidt of the linear block V̄, and z = Vᵀ V̄ z̄ (Eq. 10-11).
-    manifold: W, and the chart beyond Vᵀ if chart_degree > 1; with calibration "frozen" also R from the decays.
-    control: "frozen": B and B_r with R kept, from the controlled runs (Eq. 6). "joint": R, B and B_r in one
-        regression over decays and controlled runs, which a few decays do not determine alone.
+    manifold: W, and the nonlinear part of the chart if chart_degree > 1; with calibration "frozen" also R from the
+        decays.
+    control: with calibration "frozen", B and B_r from the controlled runs, while R is kept (Eq. 6). With "joint", R, B
+        and B_r in one regression over decays and controlled runs, because few decays alone do not determine R.
+    parametrization_fit: "full" regresses all of w; "tangent" keeps its linear block V (Eq. 5). "tangent" loses accuracy
+        in all orders above the second, because the directions of the SVD are tangent to the manifold only for vanishing
+        amplitude. The regression target is the part of the window beyond V z; without reparametrization, v(w(z)) = z
+        exactly.
+    input_alignment: "held" pairs each difference with the mean of the held inputs that act on it; "sample" pairs it
+        with the input at its sample, as the authors do.
+    manifold_data: the runs for the tangent space and the manifold: "decays", or "all" if there are no decays.
 
-    parametrization_fit: "full" regresses all of w; "tangent" keeps its linear block V (Eq. 5), which costs all orders
-        beyond the second, for the SVD's directions are tangent to the manifold only as the amplitude vanishes.
-        What is regressed is the window's rest beyond V z; without reparametrization v(w(z)) = z exactly.
-    input_alignment: "held" pairs each difference with the held inputs it has felt; "sample" with the input at its
-        sample, as the authors do.
-    manifold_data: the runs that show the tangent space and the manifold: "decays", or "all" where none were recorded.
-    names: of all regressions that some stage may have.
-    Raises ValueError for options outside these, where the SVD has fewer directions than state_dim, and in `assign`
-    where the data held no run of the kind that a stage needs.
+    names: names of all regressions that a stage may have.
+    Raises ValueError for other options, if the SVD has fewer directions than state_dim, and in `assign` if the data had
+    no run of the kind that a stage needs.
     """
 
     names = ("tangent_space", "reparametrization", "parametrization", "chart", "drift", "control", "dynamics")
@@ -66,8 +68,8 @@ class SSMRLeastSquares(nn.Module):
                  detection_delays: int | None = None, manifold_data: str = "decays"):
         super().__init__()
         if not isinstance(model, SSMR):
-            raise ValueError(f"{type(model).__name__} is no SSMR, whose closed form this is; a polynomial model of "
-                             "another structure takes closed_form@fit.closed_form=polynomial, others their own fit")
+            raise ValueError(f"{type(model).__name__} is not an SSMR, but this closed-form fit is only for SSMR; for "
+                             "other polynomial models use closed_form@fit.closed_form=polynomial")
         for name, value, options in (("calibration", calibration, ("joint", "frozen")),
                                      ("parametrization_fit", parametrization_fit, ("full", "tangent")),
                                      ("input_alignment", input_alignment, ("held", "sample")),
@@ -75,12 +77,12 @@ class SSMRLeastSquares(nn.Module):
             if value not in options:
                 raise ValueError(f"{name} is {value!r}; expected one of {options}")
         if detection_delays is not None and detection_delays < model.delays:
-            raise ValueError(f"detection_delays is {detection_delays}, fewer than the model's {model.delays} delays; "
-                             "detect with at least as many")
+            raise ValueError(f"detection_delays is {detection_delays}; expected at least {model.delays}, the model's "
+                             "number of delays")
         if model.chart_degree > 1 and (detection_delays is None or detection_delays == model.delays):
-            raise ValueError(f"chart_degree is {model.chart_degree}, but the coordinates are Vᵀ of the window itself, "
-                             "which a linear chart gives exactly; set detection_delays above the model's delays")
-        # not a submodule: the fit that holds this procedure also holds the model, and saves it once
+            raise ValueError(f"chart_degree is {model.chart_degree}; expected 1, because the coordinates Vᵀ · window "
+                             "are linear. For a higher degree set detection_delays above the model's delays")
+        # not a submodule: the fit that contains this procedure also contains the model, and saves it only once
         self.__dict__["model"] = model
         self.derivative = derivative or central_difference(6)
         self.calibration, self.parametrization_fit = calibration, parametrization_fit
@@ -91,7 +93,8 @@ class SSMRLeastSquares(nn.Module):
                        "manifold", "control")
         n, long_window = model.state_dim, (self.detection_delays + 1) * model.output_dim
         if long_window < n:
-            raise ValueError(f"a window of {long_window} values cannot hold {n} reduced coordinates")
+            raise ValueError(f"a window of {long_window} values cannot give {n} reduced coordinates; use more delays "
+                             "or a smaller state_dim")
         self.register_buffer("detection_chart", torch.zeros(n, long_window, dtype=torch.float64))
         self.register_buffer("singular_values", torch.zeros(long_window, dtype=torch.float64))
         self.nonlinear_features = graded(n, 1, model.parametrization_degree)
@@ -121,9 +124,9 @@ class SSMRLeastSquares(nn.Module):
 
     @torch.no_grad()
     def assign(self, stage: str, solutions: Mapping[str, Solution]) -> None:
-        """Put the solutions of a stage in place; doing it again changes nothing.
+        """Write the solutions of a stage into the model; a second call changes nothing.
 
-        Raises ValueError when the data held no rows for a regression that the stage needs.
+        Raises ValueError if the data had no rows for a regression of the stage.
         """
         self._check(stage, solutions)
         model, n = self.model, self.model.state_dim
@@ -153,15 +156,15 @@ class SSMRLeastSquares(nn.Module):
         missing = [name for name in needed if name not in solutions]
         if missing:
             kind = "controlled" if stage == "control" else "decay"
-            raise ValueError(f"the {stage} stage found no rows for {missing}: the training data hold no {kind} runs; "
-                             "record some, or use manifold_data=all and calibration=joint")
+            raise ValueError(f"the {stage} stage found no data for {missing}: there are no {kind} runs among the "
+                             "training runs; record some, or use manifold_data=all and calibration=joint")
 
     def encode_detected(self, segment: Segment) -> Tensor:
         """Reduced coordinates of the segment's samples from its long windows, (L - detection_delays, n)."""
         return delay_windows(segment.observation, self.detection_delays).flatten(1) @ self.detection_chart.T
 
     def _window(self, segment: Segment) -> Tensor:
-        """The model's own windows (newest samples of the long ones), flattened."""
+        """The model's own windows, which are the newest samples of the long windows, flattened."""
         return delay_windows(segment.observation, self.detection_delays)[:, -(self.model.delays + 1):].flatten(1)
 
     def _core(self, segment: Segment, *arrays: Tensor) -> tuple[Tensor, ...]:
@@ -210,7 +213,7 @@ class SSMRLeastSquares(nn.Module):
     def _rates(self, segment: Segment) -> tuple[Tensor, Tensor]:
         """Core rows of the regressors of the dynamics, at z and the input that belongs to it, and of dz/dt.
 
-        Decays are seen through the detecting windows; controlled runs, as later in the loop, through the chart.
+        z comes from the long detection windows for decays, and from the chart for controlled runs, as in closed loop.
         """
         if segment.kind == "decay":
             delays, z = self.detection_delays, self.encode_detected(segment)
@@ -232,7 +235,7 @@ class SSMRLeastSquares(nn.Module):
             self._set_chart(directions)
 
     def _set_chart(self, directions: Tensor) -> None:
-        """v = Vᵀ and the linear block of w = V, for orthonormal V (window, n)."""
+        """Set v = Vᵀ and the linear block of w to V, for orthonormal V (window, n)."""
         model = self.model
         model.chart.zero_()
         model.parametrization.zero_()

@@ -1,4 +1,4 @@
-"""Fits that do not diverge: the linear part kept stable, and no rollout of the training set leaving the range."""
+"""Stability guard: keeps the linear part of a model stable and its rollouts on the training set within the range."""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ HALVINGS = 12
 
 
 class Recorded(NamedTuple):
-    """Rollouts of the training set: window (N, n_d + 1, p), held (N, n_d, m), padded inputs (N, H, m), lengths (N,)."""
+    """Rollouts of the training set: window (N, n_d + 1, p), inputs held in it (N, n_d, m), padded inputs (N, H, m), and
+    lengths (N,).
+    """
 
     window: np.ndarray
     held: np.ndarray
@@ -31,25 +33,26 @@ class Recorded(NamedTuple):
 
 
 class StabilityGuard:
-    """Says whether a polynomial model is safe to roll out, and makes it so.
+    """Tests whether the rollouts of a polynomial model stay bounded, and repairs the model if they do not.
 
-    A model holds when (1) the linear part R₁ of its reduced dynamics is stable, Re λ ≤ −margin for every eigenvalue,
-    |1 + h λ| ≤ e^{−margin h} in discrete time, and (2) no rollout of the training set, under its recorded inputs,
-    leaves `reach` times the range of the training states: neither one over the full length of a trajectory nor one of
-    `horizon` s from any of `starts` seeded samples, which need not lie on the manifold. All are repeated with the
-    recorded inputs multiplied by `overdrive`, for a controller asks for more than the training did.
+    A model passes ("holds") if two conditions are true. (1) The linear part R₁ of its reduced dynamics is stable:
+    Re λ ≤ −margin for every eigenvalue, in discrete time |1 + h λ| ≤ e^{−margin h}. (2) No rollout of the training set
+    under its recorded inputs leaves `reach` times the range of the training states: neither a rollout over the full
+    length of a trajectory, nor one of `horizon` s from any of `starts` random samples, which need not be on the
+    manifold. All rollouts are repeated with the recorded inputs multiplied by `overdrive`, because a controller may
+    command more than the training inputs.
 
-    trajectories: those of the training. transient: s cut from the start of each decay. margin: 1/s. reach: smaller
-    than the `DIVERGENCE_FACTOR` that a rollout is judged by later, so that unseen runs have room as well; of a
-    saturated model, which cannot run away, that factor itself, and under the recorded inputs alone.
-    Raises ValueError for a model without coefficient tables, or one that was not fitted yet.
+    trajectories: the training runs. transient: s cut from the start of each decay. margin: 1/s. reach: smaller than
+    `DIVERGENCE_FACTOR`, by which rollouts are judged later, so that unseen runs have a margin. For a saturated model,
+    whose rollouts cannot grow without limit, reach is that factor, and only the recorded inputs are used.
+    Raises ValueError for a model without coefficient tables, or for one that was not fitted yet.
     """
 
     def __init__(self, trajectories: Sequence, *, transient: float = 0.0, margin: float = 0.05, reach: float = 3.0,
                  overdrive: float = 1.25, horizon: float = 1.0, starts: int = 1000):
         if not (margin >= 0 and reach > 1 and overdrive >= 1):
-            raise ValueError(f"margin {margin} 1/s, reach {reach} and overdrive {overdrive}; expected 0 or more, more "
-                             "than 1, and 1 or more")
+            raise ValueError(f"margin {margin} 1/s, reach {reach} and overdrive {overdrive}; expected margin ≥ 0, "
+                             "reach > 1 and overdrive ≥ 1")
         self.trajectories = tuple(_settled(run, transient) for run in trajectories if run.kind != "static")
         self.margin, self.reach, self.overdrive = float(margin), float(reach), float(overdrive)
         self.horizon, self.starts = float(horizon), int(starts)
@@ -66,18 +69,19 @@ class StabilityGuard:
 
     @torch.no_grad()
     def diverging(self, model: TorchModel) -> float:
-        """Share of the rollouts from the samples that leave the range, plus that of the full-length ones: only 0 means
-        that none does.
+        """Share of the rollouts from samples that leave the range, plus that share of the full-length rollouts. It is 0
+        only if no rollout leaves the range.
         """
         return sum(self._leaving(model))
 
     def _leaving(self, model, at_most: int | None = None) -> Iterator[float]:
-        """Share that leaves, of the rollouts from the samples, then of the full-length ones."""
+        """Share of the rollouts from samples that leave the range, then that share of the full-length rollouts."""
         bounded, batch = model.structure.saturated, batch_of(model)
         bound = batch.model.divergence_bound
         bound = bound if bounded else bound * self.reach / DIVERGENCE_FACTOR
         if not np.isfinite(bound):
-            raise ValueError("the range of the training states is not known; guard a model after its closed form")
+            raise ValueError("this model was not fitted yet, so the range of its training states is not known; use the "
+                             "stability guard after the closed-form fit")
         factors = (1.0,) if bounded or self.overdrive == 1 else (1.0, self.overdrive)
         for runs in self._of_delays(model.delays):
             yield (self._left(batch, runs, factors, float(bound), at_most)
@@ -86,7 +90,8 @@ class StabilityGuard:
     @staticmethod
     def _left(batch: BatchRollout, runs: list[Recorded], factors: tuple[float, ...], bound: float,
               at_most: int | None) -> int:
-        """How many rollouts leave the bound, with their inputs multiplied by each factor, counted up to `at_most`."""
+        """Number of rollouts that leave the bound, with inputs multiplied by each factor; counting stops at `at_most`.
+        """
         left = 0
         for run in runs:
             states = batch.model.encode(run.window, run.held)
@@ -98,7 +103,9 @@ class StabilityGuard:
         return left
 
     def _of_delays(self, delays: int) -> tuple[list[Recorded], list[Recorded]]:
-        """Seeded starts of `horizon` s, and every trajectory from its first window to its end, longest first."""
+        """Rollouts of `horizon` s from random starts, and of every trajectory from its first window to its end, longest
+        first.
+        """
         if delays not in self._recorded:
             whole = sorted((RolloutDataset([run], delays=delays, horizon=run.length - delays - 1)[0]
                             for run in self.trajectories if run.length > delays + 1), key=lambda run: -len(run.inputs))
@@ -111,10 +118,10 @@ class StabilityGuard:
 
     @torch.no_grad()
     def enforce(self, model: TorchModel) -> dict[str, float]:
-        """Make the model hold with the smallest changes of these kinds; {what: how much}, empty where nothing was done.
+        """Repair the model with the smallest changes of two kinds. Returns {what: how much}, empty if nothing changed.
 
-        Eigenvalues beyond the margin are moved onto it, with their frequencies and eigenvectors kept. Then all terms
-        beyond the linear ones are shrunk by the factor ½, ¼, …, 0, the largest for which no rollout diverges.
+        Eigenvalues beyond the margin are moved onto it; their frequencies and eigenvectors stay. Then all nonlinear
+        terms are multiplied by the largest factor of ½, ¼, …, 0 for which no rollout diverges.
         """
         moved = self.stabilize(model)
         found = {"eigenvalues moved": float(moved)} if moved else {}
@@ -130,12 +137,12 @@ class StabilityGuard:
         return found | {"nonlinear terms multiplied by": factor}
 
     def _excess(self, model: TorchModel) -> Tensor:
-        """By how much Re λ of the linear part, in continuous time, exceeds −margin, (n,), 1/s."""
+        """(n,), 1/s, by how much Re λ of the linear part, in continuous time, exceeds −margin."""
         return torch.as_tensor(model.reduced.rates.real) + self.margin
 
     @torch.no_grad()
     def stabilize(self, model: TorchModel) -> int:
-        """Move eigenvalues of the linear part beyond the margin onto it; how many there were."""
+        """Move eigenvalues of the linear part beyond the margin onto it. Returns their number."""
         beyond = int((self._excess(model) > 1e-9).sum())
         if beyond:
             eigenvalues, vectors = torch.linalg.eig(model.reduced.linear_part)
@@ -144,7 +151,7 @@ class StabilityGuard:
         return beyond
 
     def _moved(self, model: TorchModel, eigenvalues: Tensor) -> Tensor:
-        """Those beyond the margin on it, with their frequencies kept."""
+        """The eigenvalues, with those beyond the margin moved onto it; their frequencies stay."""
         if model.reduced.flow:
             return torch.complex(torch.clamp(eigenvalues.real, max=-self.margin), eigenvalues.imag)
         offset, h = _of_steps(model)
@@ -154,9 +161,9 @@ class StabilityGuard:
 
 
 class GuardFit(ModelFit):
-    """Makes a fitted polynomial model hold by its `StabilityGuard`; `repairs` says what that took.
+    """Repairs a fitted polynomial model by its `StabilityGuard`; `repairs` names the changes.
 
-    One epoch without training; the validation that follows scores the repaired model.
+    It takes one epoch without training. The validation after it scores the repaired model.
     """
 
     epochs, starts = 1, 1
@@ -176,18 +183,18 @@ class GuardFit(ModelFit):
         module = self.trainer.datamodule
         guard = StabilityGuard(module.training, transient=module.transient, **self.settings)
         self.repairs = guard.enforce(self.model)
-        self.optimizers().step()  # nothing has a gradient; a fit without a step would not be saved
+        self.optimizers().step()  # there are no gradients, but Lightning saves a fit only after a step
 
 
 def _recorded(runs: Sequence[RolloutBatch]) -> Recorded:
-    """Single rollouts side by side."""
+    """Single rollouts, padded to the longest and stacked."""
     window, held = (torch.stack([getattr(run, name) for run in runs]) for name in ("window", "window_inputs"))
     inputs = pad_sequence([run.inputs for run in runs], batch_first=True)
     return Recorded(window.numpy(), held.numpy(), inputs.numpy(), np.array([len(run.inputs) for run in runs]))
 
 
 def _of_like_length(runs: Sequence[RolloutBatch]) -> list[list[RolloutBatch]]:
-    """Rollouts of falling length in groups, in which none is padded to more than twice its own."""
+    """Groups of rollouts, sorted from long to short, so that no rollout is padded to more than twice its length."""
     groups: list[list[RolloutBatch]] = []
     for run in runs:
         if not groups or 2 * len(run.inputs) < len(groups[-1][0].inputs):
@@ -202,12 +209,12 @@ def _settled(run, transient: float):
 
 
 def _of_steps(model: TorchModel) -> tuple[float, float]:
-    """offset and h, such that an eigenvalue λ of the linear part multiplies the state by offset + h λ in a step."""
+    """offset and h, such that a mode with eigenvalue λ of the linear part is multiplied by offset + h λ in a step."""
     return (1.0, model.base_timestep) if model.structure.scheme == "euler" else (0.0, 1.0)
 
 
 def _put_linear_part(model: TorchModel, linear: Tensor) -> None:
-    """Put the columns of R₁ (n, n) in place, those that multiply one entry of z alone."""
+    """Write R₁ (n, n) into the columns that multiply single entries of z."""
     columns = torch.cat([table.T for table in dynamics_tables(model)]).T
     for k, factors in enumerate(model.structure.dynamics.factors):
         if len(factors) == 1 and factors[0] < model.state_dim:
@@ -218,7 +225,7 @@ def _put_linear_part(model: TorchModel, linear: Tensor) -> None:
 
 
 def _linear_columns(model: TorchModel) -> list[Tensor]:
-    """For each dynamics table, which of its columns multiply z or u alone."""
+    """For each dynamics table, whether each of its columns multiplies a single entry of z or u."""
     tables = dynamics_tables(model)
     linear = torch.tensor([len(factors) == 1 for factors in model.structure.dynamics.factors], device=tables[0].device)
     return list(linear.split([table.shape[1] for table in tables]))

@@ -1,7 +1,7 @@
-"""Streamed, mergeable least squares: what is kept of the data is one triangular factor per fold.
+"""Least squares over streamed data: only one triangular factor per fold is kept in memory.
 
-The factor R of [features | targets] = Q R holds all that a regression needs, without squaring the condition number
-as normal equations do; factors of two batches, folds or processes merge by one more QR of the two stacked.
+The factor R of [features | targets] = Q R contains everything that a regression needs. Unlike normal equations, it does
+not square the condition number. Factors of two batches, folds or processes are merged by a QR of both stacked.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import torch
 from scipy.linalg.lapack import dtpqrt
 from torch import Tensor, distributed
 
-WAITING = 4     # rows a column that are factorized together
-FEWEST = 2048   # rows
-BLOCK = 64      # columns
+WAITING = 4     # number of rows per column that are factorized together
+FEWEST = 2048   # smallest number of rows that are factorized together
+BLOCK = 64      # columns in a block
 
-# lars_path_gram ends at a penalty of 1e-7, however large the targets are
+# lars_path_gram stops at a penalty of 1e-7, independent of the size of the targets
 PATH_SCALE = 1e6
 
 
@@ -43,8 +43,9 @@ class Factor:
 class Solution:
     """coefficients (targets, features) of targets ≈ coefficients · features, and how well they were determined.
 
-    condition: of the features scaled to unit norm. ridge: relative λ, see `solve`. residual: ‖error‖ / ‖targets‖.
-    validation: relative held-out error of each ridge tried, empty when none was. factor: of [features | targets].
+    condition: condition number of the features scaled to unit norm. ridge: relative λ, see `solve`. residual:
+    ‖error‖ / ‖targets‖. validation: relative held-out error of each ridge that was tried, empty if there was no choice.
+    factor: factor of [features | targets].
     """
 
     factor: Factor
@@ -58,11 +59,11 @@ class Solution:
 
 
 class StreamedRegression:
-    """targets ≈ C · features over any number of batches, kept apart by fold for cross-validation.
+    """targets ≈ C · features over any number of batches, stored separately by fold for cross-validation.
 
-    accumulate(features (N, k), targets (N, q), fold); `folds` maps fold → Factor of [features | targets]. Rows wait
-    until there are `WAITING` times as many as columns, for to factorize a few takes as long as to factorize as many as
-    there are columns.
+    accumulate(features (N, k), targets (N, q), fold); `folds` maps fold → Factor of [features | targets]. Rows are
+    collected until there are `WAITING` times more rows than columns, because the factorization of a few rows takes as
+    long as that of as many rows as columns.
     """
 
     def __init__(self):
@@ -79,7 +80,8 @@ class StreamedRegression:
     def accumulate(self, features: Tensor, targets: Tensor, fold: int = 0) -> None:
         split = (features.shape[1], targets.shape[1])
         if self.split not in (None, split):
-            raise ValueError(f"a batch has {split} features and targets; earlier ones had {self.split}")
+            raise ValueError(f"a batch has {split} features and targets, but earlier batches had {self.split}; give "
+                             "every batch the same columns")
         self.split = split
         waiting = self._waiting.setdefault(fold, [])
         waiting.append(torch.cat([features, targets], dim=1))
@@ -90,11 +92,11 @@ class StreamedRegression:
         self.merge(fold, Factor.of(torch.cat(self._waiting.pop(fold))))
 
     def merge(self, fold: int, factor: Factor) -> None:
-        """Add the rows behind a factor to a fold."""
+        """Add the rows of a factor to a fold."""
         self._folds[fold] = self._folds[fold].merged(factor) if fold in self._folds else factor
 
     def total(self, without: int | None = None) -> Factor:
-        """Factor of all folds but one."""
+        """Factor of all folds, or of all except one."""
         kept = [factor for fold, factor in sorted(self.folds.items()) if fold != without]
         total = kept[0]
         for factor in kept[1:]:
@@ -105,17 +107,17 @@ class StreamedRegression:
         """Minimize Σ‖targets - C features‖² + a penalty on C that does not depend on units, s_j² = Σ feature_j²:
 
         "ridge": λ Σ_j s_j² ‖C_j‖²;   "lasso": 2 λ Σ_ij ‖target_i‖ s_j |C_ij|, where λ = 1 leaves nothing.
-        Several values of λ: the one with the least held-out error over the folds. Raises ValueError when no
-        rows were accumulated, a λ is negative, or there are several λ but only one fold.
+        Of several λ, it takes the one with the least held-out error over the folds. Raises ValueError if no rows were
+        accumulated, if a λ is negative, or if there are several λ but only one fold.
         """
         if not self.folds:
-            raise ValueError("no rows were accumulated; the training data hold none of this kind")
+            raise ValueError("no rows were accumulated: the training data contain no runs of the required kind")
         candidates = ridge_candidates(ridge)
         solve, validation = PENALTIES[penalty], {}
         if len(candidates) > 1 and self.split[1] > 0:
             if len(self.folds) < 2:
-                raise ValueError(f"choosing among {len(candidates)} ridges needs at least 2 folds; there is "
-                                 f"{len(self.folds)}; give more trajectories or one ridge")
+                raise ValueError(f"a choice among {len(candidates)} ridges needs at least 2 folds, but there is "
+                                 f"{len(self.folds)}; give more trajectories, or only one ridge")
             validation = self._cross_validate(candidates, solve)
             candidates = (min(validation, key=validation.get),)
         total = self.total()
@@ -136,7 +138,7 @@ class StreamedRegression:
 
 
 def ridge_candidates(ridge: float | Sequence[float]) -> tuple[float, ...]:
-    """The λ to choose from. Raises ValueError unless there is one, and each is a finite number of 0 or more."""
+    """The λ to choose from. Raises ValueError unless there is at least one, and each is finite and 0 or more."""
     candidates = tuple(map(float, ridge)) if isinstance(ridge, Sequence) else (float(ridge),)
     if not candidates or not all(0 <= value < float("inf") for value in candidates):
         raise ValueError(f"ridge is {ridge}; expected 0 or more, one value or several")
@@ -146,7 +148,8 @@ def ridge_candidates(ridge: float | Sequence[float]) -> tuple[float, ...]:
 def lasso_solutions(factor: Factor, features: int, candidates: Sequence[float]) -> list[Tensor]:
     """Coefficients (targets, features) for each lasso λ, from scikit-learn's least-angle regression on the factor.
 
-    Its path over λ is exact where coordinate descent stalls: on features as alike as neighbouring samples are.
+    Its path over λ is exact, also for strongly correlated features such as neighbouring samples, for which coordinate
+    descent does not converge.
     """
     from sklearn.linear_model import lars_path_gram
 
@@ -168,11 +171,11 @@ PENALTIES = {"ridge": lambda *problem: ridge_solutions(*problem), "lasso": lasso
 
 
 def gather(regressions: dict[str, StreamedRegression]) -> dict[str, StreamedRegression]:
-    """The regressions over all processes of a distributed run, the same on each of them."""
+    """The regressions summed over all processes of a distributed run, equal in every process."""
     if not (distributed.is_available() and distributed.is_initialized()):
         return regressions
     for regression in regressions.values():
-        _ = regression.folds  # a triangle is less to send than the rows that still wait for theirs
+        _ = regression.folds  # factorizes waiting rows, because a triangle is smaller to send
     shares: list = [None] * distributed.get_world_size()
     distributed.all_gather_object(shares, regressions)
     together: dict[str, StreamedRegression] = {}
@@ -186,9 +189,9 @@ def gather(regressions: dict[str, StreamedRegression]) -> dict[str, StreamedRegr
 
 
 def singular_values(factor: Factor) -> tuple[Tensor, Tensor]:
-    """Singular values (k,) and right singular vectors (k, k), one per column, of the rows behind a factor.
+    """Singular values (k,) and right singular vectors (k, k), one per column, of the rows of a factor.
 
-    The sign of each vector is fixed by making its largest component positive.
+    The sign of each vector is fixed: its largest component is positive.
     """
     _, values, rows = torch.linalg.svd(factor.triangle, full_matrices=False)
     vectors = rows.T
@@ -204,7 +207,8 @@ def _triangle(matrix: Tensor) -> Tensor:
 
 
 def _joined(upper: Tensor, lower: Tensor) -> Tensor:
-    """Triangle of two stacked: LAPACK's factorization that knows of their zeros takes a fifth of the time."""
+    """Triangular factor of two stacked triangles, by LAPACK's routine for triangles, which takes a fifth of the time.
+    """
     if upper.device.type != "cpu" or upper.dtype != torch.float64 or not len(upper):
         return _triangle(torch.cat([upper, lower]))
     size = len(upper)
@@ -238,7 +242,7 @@ def _scaled_svd(factor: Factor, features: int) -> tuple[Tensor, Tensor, Tensor, 
 
 
 def _squared_error(factor: Factor, features: int, coefficients: Tensor) -> tuple[float, float]:
-    # below its first rows the triangle has no features, and the targets there are what no coefficients explain
+    # below the first rows of the triangle there are only targets: the part that no coefficients can explain
     explained, rest = factor.triangle[:features], factor.triangle[features:, features:]
     error = explained[:, features:] - explained[:, :features] @ coefficients.T
     unexplained = float((rest**2).sum())

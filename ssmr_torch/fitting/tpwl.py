@@ -1,4 +1,4 @@
-"""Trajectory piecewise linear models from a finite-element robot: replay, proper orthogonal modes, linearized steps.
+"""Fit of trajectory piecewise linear (TPWL) models: replay of a finite-element robot, modes, linearized steps.
 
 inputs of the training data ─plant→ snapshots ─SVD→ basis ─worst one-step error first→ points ─linearize, project→ maps
 """
@@ -21,35 +21,36 @@ from ssmr_torch.models.torch_model import fill
 from ssmr_torch.models.tpwl import TPWL
 from ssmr_torch.plants.finite_element.robot import FiniteElementRobot
 
-FOREIGN = 0.02  # of the outputs' size: a replay that is further away is no longer that of the same robot
+FOREIGN = 0.02  # relative to the outputs' size: a replay with a larger error belongs to a different robot
 
 
 def proper_orthogonal_modes(values: np.ndarray, directions: np.ndarray,
                             modes: int | str) -> tuple[np.ndarray, np.ndarray]:
-    """Basis (N, r) of the first of all directions (·, N), with the singular values of displacements from rest, and the
-    variance that the first k of them capture. modes: r, or "variance:0.9999", the least number that captures it.
+    """Basis (N, r) of the first directions of (·, N), and the share of the variance that the first k directions
+    capture.
 
-    Raises ValueError where the displacements do not span r directions.
+    values: singular values of the displacements from rest. modes: r, or "variance:0.9999", the smallest number of modes
+    that captures this share. Raises ValueError if the displacements do not span r directions.
     """
     captured = captured_variance(values)
     rank = int((values > 1e-12 * values[0]).sum())
     size = modes if isinstance(modes, int) else int(np.argmax(captured >= _share(modes))) + 1
     if size > rank:
-        raise ValueError(f"{size} modes are asked for, but the snapshots span {rank} directions; take fewer modes or "
-                         "more snapshots")
+        raise ValueError(f"modes is {size}, but the snapshots span only {rank} directions; use fewer modes or more "
+                         "snapshots")
     return directions[:size].T, captured
 
 
 class PlantLinearization:
-    """Replays controlled training runs on the plant, from its rest, and linearizes its step along them.
+    """Replays controlled training runs on the plant, starting at rest, and linearizes its steps along them.
 
-    modes: number, or "variance:0.9999", see `proper_orthogonal_modes`. points: at most; the next one is the snapshot
-    whose velocity after one step the model so far predicts worst, until that error is below `tolerance` times the rms
-    velocity. snapshots: kept at most, evenly spaced, as full states are large.
-    blend: width of the model over the median distance of a point from its nearest neighbour; 0: nearest point.
-    process_noise: factor of the covariance of the one-step errors, which the filter takes for process noise.
-    measurement_noise: standard deviation of each output, m, to which what the modes cannot show is added.
-    Raises ValueError for options out of range.
+    modes: number, or "variance:0.9999", see `proper_orthogonal_modes`. points: largest number of points. The next point
+    is the snapshot whose velocity after one step the present model predicts worst, until that error is below
+    `tolerance` times the rms velocity. snapshots: largest number of snapshots, evenly spaced, because full states are
+    large. blend: width of the model, relative to the median distance of a point from its nearest neighbour; 0: nearest
+    point. process_noise: factor on the covariance of the one-step errors, which is the process noise of the filter.
+    measurement_noise: standard deviation of each output, m; the part of the outputs that the modes cannot represent is
+    added. Raises ValueError for options out of range.
     """
 
     before = after = 0
@@ -65,21 +66,22 @@ class PlantLinearization:
             raise ValueError(f"{points} points out of {snapshots} snapshots; expected at least 1 point, and as many "
                              "snapshots")
         if min(tolerance, blend, process_noise) < 0 or not measurement_noise > 0:
-            raise ValueError(f"tolerance {tolerance}, blend {blend} and process_noise {process_noise} must not be "
-                             f"negative, measurement_noise ({measurement_noise} m) positive")
+            raise ValueError(f"tolerance {tolerance}, blend {blend}, process_noise {process_noise} and "
+                             f"measurement_noise {measurement_noise} m; expected no negative numbers, and a positive "
+                             "measurement_noise")
         self.plant, self.modes, self.points, self.tolerance = plant, modes, int(points), float(tolerance)
         self.snapshots, self.blend, self.progress = int(snapshots), float(blend), bool(progress)
         self.process_noise, self.measurement_noise = float(process_noise), float(measurement_noise)
         self.begin()
 
     def begin(self, outputs: Sequence[str] = ()) -> None:
-        """Forget all runs; those to come have these outputs of the plant."""
+        """Start again without runs. The following runs have these outputs of the plant."""
         self._columns = [self.plant.output_names.index(name) for name in outputs]
         self._runs: list[list[np.ndarray]] = []
         self._observed: list[np.ndarray] = []
 
     def note(self, segment: Segment) -> None:
-        """The core samples of a segment are to be replayed, where it is controlled; the first of a run from rest."""
+        """Add the core samples of a controlled segment to the replay; the first segment of a run starts at rest."""
         if segment.kind != "controlled":
             return
         core = slice(*segment.core)
@@ -89,8 +91,8 @@ class PlantLinearization:
         self._observed.append(segment.observation[core].numpy())
 
     def tables(self) -> dict[str, np.ndarray | float]:
-        """Everything that a `TPWL` holds, by name, and its width. `replay_error`: ‖y of the plant − y of the data‖ /
-        ‖y of the data‖.
+        """All tables of a `TPWL` by name, and its width. `replay_error`: ‖y of the plant − y of the data‖ / ‖y of the
+        data‖.
         """
         runs, measured = [np.concatenate(run) for run in self._runs], np.concatenate(self._observed)
         replay = replayed(self.plant, runs, self.snapshots, self.progress)
@@ -136,9 +138,9 @@ class PlantLinearization:
 class TPWLFit(ModelFit):
     """Linearizes a finite-element robot along the training data in one epoch; options as in `PlantLinearization`.
 
-    The plant must have the inputs and timestep of the data, and their outputs among its own. Raises ValueError at the
-    start of training where it has not, where there is none, or where there are no controlled runs.
-    remarks: sentences for the report. `solutions` stays empty, as nothing is regressed.
+    The plant must have the inputs and the timestep of the data, and all their outputs. Raises ValueError at the start
+    of training if it does not, if there is no plant, or if there are no controlled runs.
+    remarks: sentences for the report. `solutions` stays empty, because there are no regressions.
     """
 
     epochs = 1
@@ -159,7 +161,8 @@ class TPWLFit(ModelFit):
                              "(trainer.devices=1)")
         check_plant(self.procedure.plant, self.card, self.model)
         if not any(run.kind == "controlled" for run in self.trainer.datamodule.training):
-            raise ValueError("no controlled runs among the training data; TPWL linearizes the plant along them")
+            raise ValueError("there are no controlled training runs, but TPWL linearizes the plant along them; record "
+                             "some")
         self.procedure.begin(self.card["output_names"])
 
     @torch.no_grad()
@@ -172,8 +175,8 @@ class TPWLFit(ModelFit):
         self.log_dict({"fit/points": float(self.model.count), "fit/modes": float(self.model.modes),
                        "fit/replay_error": error})
         if error > FOREIGN:
-            self.remarks = [f"The plant, driven by the inputs of the data, moves otherwise: by {100 * error:.3g} % of "
-                            "the outputs. The model is that of the plant; choose its parameters closer to the robot's."]
+            self.remarks = [f"With the inputs of the data, the outputs of the plant differ by {100 * error:.3g} %. The "
+                            "model describes the plant; choose parameters of the plant that are closer to the robot."]
         self.optimizers().step()
 
     def _take(self, tables: dict) -> None:
@@ -186,27 +189,28 @@ class TPWLFit(ModelFit):
 
 
 def check_plant(plant, card: dict, model: TPWL) -> None:
-    """Raises ValueError unless the plant is a finite-element robot with the inputs, bounds and timestep of the data
-    that a card describes, and their outputs among its own. Inputs may have other names, in the same order.
+    """Raises ValueError unless the plant is a finite-element robot with the inputs, bounds and timestep of the data in
+    the card, and with all their outputs. Inputs may have other names, but must be in the same order.
     """
     if plant is None:
-        raise ValueError("TPWL linearizes the equations of a plant; name the one that the data are of, as plant=trunk")
+        raise ValueError("TPWL needs a plant, whose equations it linearizes; name the plant of the data, for example "
+                         "plant=trunk")
     if not isinstance(plant, FiniteElementRobot):
-        raise ValueError(f"the plant is a {type(plant).__name__}; TPWL linearizes a finite-element robot, such as "
+        raise ValueError(f"the plant is a {type(plant).__name__}; TPWL needs a finite-element robot, such as "
                          "plant=trunk or plant=diamond")
     unknown = [name for name in card["output_names"] if name not in plant.output_names]
     if unknown:
-        raise ValueError(f"the data have the outputs {unknown}, the plant {list(plant.output_names)}; leave them out "
-                         "by outputs=…, or give the plant these markers")
+        raise ValueError(f"the data have the outputs {unknown}, but the plant has only {list(plant.output_names)}; "
+                         "leave these outputs out by outputs=…, or add these markers to the plant")
     if (len(card["input_names"]), card["input_unit"]) != (len(plant.input_names), plant.input_unit):
-        raise ValueError(f"the data have the inputs {card['input_names']} in {card['input_unit']}, the plant "
-                         f"{list(plant.input_names)} in {plant.input_unit}; name the plant that the data are of")
+        raise ValueError(f"the data have the inputs {card['input_names']} in {card['input_unit']}, but the plant has "
+                         f"{list(plant.input_names)} in {plant.input_unit}; name the plant of the data")
     if abs(model.base_timestep / plant.timestep - 1) > 1e-3:
-        raise ValueError(f"the model's base timestep is {model.base_timestep:g} s, the plant's timestep "
+        raise ValueError(f"the model's base timestep is {model.base_timestep:g} s, but the plant's timestep is "
                          f"{plant.timestep:g} s; set plant.timestep or model.base_timestep")
     highest, bound = np.max(card["input_range"][1]), plant.input_bounds[1].max()
     if (np.array(card["input_range"][1]) > plant.input_bounds[1] * (1 + 1e-9)).any():
-        raise ValueError(f"the inputs of the data reach {highest:g} {plant.input_unit}, those of the plant end at "
+        raise ValueError(f"the inputs of the data reach {highest:g} {plant.input_unit}, but the bound of the plant is "
                          f"{bound:g} {plant.input_unit}; set plant.input_bounds")
 
 

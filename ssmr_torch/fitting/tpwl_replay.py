@@ -1,6 +1,6 @@
-"""Replays of a finite-element robot under the inputs of training data, and its equations linearized along them.
+"""Replay of a finite-element robot with the inputs of training data, and its linearized equations along the replay.
 
-What is found here depends on the robot and the inputs only, so the fits of a sweep share it.
+The results depend only on the robot and the inputs, so that all fits of a search share them.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from ssmr_torch.plants.finite_element.robot import FiniteElementRobot
 
 
 class Snapshots(NamedTuple):
-    """States of the plant and what followed one step later: displacements from rest and velocities of the free degrees
-    of freedom, (S, N) m and m/s; inputs (S, m) N held in between; outputs (S, p) m.
+    """States of the plant, and its states one step later: displacements from rest and velocities of the free degrees of
+    freedom, (S, N), m and m/s; inputs (S, m), N, held in between; outputs (S, p), m.
     """
 
     displacement: np.ndarray
@@ -32,10 +32,10 @@ class Snapshots(NamedTuple):
 
 
 class Projection(NamedTuple):
-    """Matrices of the plant at a displacement and tensions (m,) N, by Galerkin projection on r directions.
+    """Matrices of the plant at a displacement and tensions (m,), N, by Galerkin projection on r directions.
 
-    displacement: (r,) m, of the projection.   mass, stiffness K, warped K_w: (r, r).   input_matrix: (r, m).
-    residual: (r,) N, the force that is left, damping aside.
+    displacement: (r,), m, projected.   mass, stiffness K, warped K_w: (r, r).   input_matrix: (r, m).
+    residual: (r,), N, the remaining force without damping.
     """
 
     displacement: np.ndarray
@@ -59,7 +59,7 @@ class Projection(NamedTuple):
                    basis.T @ inputs, basis.T @ structure.forces(positions, input))
 
     def leading(self, size: int) -> Projection:
-        """The projection on the first directions alone."""
+        """The projection on only the first `size` directions."""
         mass, stiffness, warped = (square[:size, :size] for square in (self.mass, self.stiffness, self.warped))
         return Projection(self.displacement[:size], self.input, mass, stiffness, warped, self.input_matrix[:size],
                           self.residual[:size])
@@ -93,10 +93,10 @@ def linearized_step(plant: FiniteElementRobot, at: Projection) -> tuple[np.ndarr
 
 
 class Replay:
-    """A plant driven from its rest by the inputs of each run, (T_k, m) N.
+    """A plant that is simulated from rest with the inputs of each run, (T_k, m), N.
 
-    outputs: (Σ T, p) m, at every sample.   snapshots: at most as many as asked for, evenly spaced, as full states are
-    large.   plant: the one that was driven, whose equations `projection` takes.
+    outputs: (Σ T, p), m, at every sample.   snapshots: at most the requested number, evenly spaced, because full states
+    are large.   plant: the simulated plant, whose equations `projection` uses.
     """
 
     def __init__(self, plant: FiniteElementRobot, runs: Sequence[np.ndarray], snapshots: int, progress: bool = False):
@@ -124,7 +124,7 @@ class Replay:
         return np.linalg.svd(self.snapshots.displacement, full_matrices=False)[1:]
 
     def projection(self, index: int, size: int) -> Projection:
-        """At a snapshot, on the first `size` directions; what was found for more of them serves fewer as well."""
+        """Projection at a snapshot on the first `size` directions. A stored projection on more directions is reused."""
         kept = self._projections.get(index)
         if kept is None or len(kept.displacement) < size:
             seen = self.snapshots
@@ -142,9 +142,9 @@ _latest: dict[str, Replay] = {}
 
 
 def replayed(plant: FiniteElementRobot, runs: Sequence[np.ndarray], snapshots: int, progress: bool = False) -> Replay:
-    """A `Replay`, the latest one where it was of the same robot, inputs and snapshots.
+    """A `Replay`; the latest one is reused if it has the same robot, inputs and snapshots.
 
-    A robot is known by its `parameters` and `origin`; one without parameters is replayed every time.
+    A robot is recognized by its `parameters` and `origin`. A robot without parameters is simulated every time.
     """
     if not hasattr(plant, "parameters"):
         return Replay(plant, runs, snapshots, progress)
@@ -154,6 +154,6 @@ def replayed(plant: FiniteElementRobot, runs: Sequence[np.ndarray], snapshots: i
         content.update(np.ascontiguousarray(run, dtype=np.float64))
     key = content.hexdigest()
     if key not in _latest:
-        _latest.clear()  # before the new one: only one of them need fit into memory
+        _latest.clear()  # before the new one, so that only one must fit into memory
         _latest[key] = Replay(plant, runs, snapshots, progress)
     return _latest[key]

@@ -1,4 +1,4 @@
-"""From a dataset to a fitted model: closed form, then refinement where it is asked for."""
+"""`train`: fits a model to a dataset by a closed-form fit and further fits, with checkpoints and scores."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.models.torch_model import PolynomialTorchModel, TorchModel
 from ssmr_torch.trajectory import TrajectoryDataset
 
-# λ to choose from by cross-validation; by the name of a regression, "default" for those not named.
+# The λ from which cross-validation chooses, by regression name; "default" is for regressions that are not named.
 RIDGES = MappingProxyType({"default": (0.0, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)})
 FINE_RIDGES = MappingProxyType({"default": (0.0, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)})
 
 TRAINER = ("max_epochs", "callbacks", "logger", "num_sanity_val_steps", "check_val_every_n_epoch")
-SCALES = ("state_scale", "scale")  # buffers of models that measure the data, and are no parameters
+SCALES = ("state_scale", "scale")  # buffers that hold the range of the data; they do not count as parameters
 
 
 @dataclass(frozen=True)
 class Training:
     """A fitted model, its checkpoint, the scores of validation and test (m), its cost, and the report of each fit.
 
-    cost: see `cost_of`, and fit_time, CPU seconds of this process, of the fits without the scoring after them.
+    cost: see `cost_of`; also fit_time, the CPU seconds of this process for the fits, without the scores after them.
     """
 
     model: TorchModel
@@ -54,7 +54,7 @@ class Training:
     report: dict[str, dict]
 
     def summary(self) -> str:
-        """A few lines for the terminal: scores, what determined the fit, warnings, where the checkpoint is."""
+        """A few lines for the terminal: scores, regressions, warnings, and the path of the checkpoint."""
         lines = [f"{name}: {1e3 * value:.4g} mm" if "rmse" in name else f"{name}: {value:.4g}"
                  for name, value in sorted(self.scores.items())]
         for fit, report in self.report.items():
@@ -86,14 +86,14 @@ def polynomial_least_squares(model: PolynomialTorchModel, *, ridge: float | Sequ
 @configurable(PolynomialLeastSquares)
 def linear_start(model: TorchModel, *, ridge: float | Sequence | Mapping = RIDGES, folds: int = 5,
                  **options) -> LeastSquaresFit:
-    """Closed-form start of a model of another family from a linear map; options as in `PolynomialLeastSquares`."""
+    """Closed-form fit of a linear model, from which any other model starts; options as in `PolynomialLeastSquares`."""
     return LeastSquaresFit(LinearStart(model, **options), ridge, folds)
 
 
 @configurable(KoopmanLeastSquares)
 def koopman_least_squares(model: Koopman, *, ridge: float | Sequence | Mapping = FINE_RIDGES, folds: int = 5,
                           penalty: str = "ridge", **options) -> LeastSquaresFit:
-    """Closed-form fit of a Koopman model; options as in `KoopmanLeastSquares`, the rest as in `LeastSquaresFit`."""
+    """Closed-form fit of a Koopman model; options as in `KoopmanLeastSquares`, others as in `LeastSquaresFit`."""
     return LeastSquaresFit(KoopmanLeastSquares(model, **options), ridge, folds, penalty)
 
 
@@ -108,17 +108,17 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., TorchModel],
           fits: Mapping[str, Callable[..., ModelFit]], module: Callable[..., TrajectoryDataModule],
           trainer: Callable[..., lightning.Trainer], directory: str | Path, name: str = "SSMR",
           loggers: list | bool = False, resume: bool = False, origin: dict | None = None) -> Training:
-    """Fit one model by each of `fits` in turn, score it, and say what the fit found.
+    """Fit one model by each of `fits` in turn, score it, and report on the fits.
 
-    name: of the model, in tables and figures. model, fits, module, trainer: any callables, a class, a function or a
-    functools.partial of one. model: takes input_dim, output_dim and timestep by keyword, see `sized_model`; its
-    state_dim, if it takes one, has a default, a number or a rule of `choose_dimension`. fits: take the model. module:
-    takes the dataset by keyword; trainer: the settings `TRAINER` of Lightning's.
-    Checkpoints go to directory/checkpoints/FIT, of a refinement the best by validation error, of a closed form the
-    last; a refinement that does not lower the validation error is undone, and a fit that is given 0 epochs left out.
-    The fitted model goes to directory/model.ckpt. resume: continue from the checkpoints already there. origin:
-    provenance of this training, with its configuration; it travels with the checkpoints, and resuming under another
-    configuration is refused.
+    name: name of the model in tables and figures. model, fits, module, trainer: callables, each a class, a function or
+    a functools.partial of one. model takes input_dim, output_dim and timestep by keyword, see `sized_model`. If it
+    takes state_dim, this has a default: a number or a rule of `choose_dimension`. fits take the model. module takes the
+    dataset by keyword. trainer takes the settings `TRAINER` of Lightning's trainer.
+    Checkpoints go to directory/checkpoints/FIT: the one with the best validation error for a refinement, the last one
+    for a closed-form fit. A refinement that does not lower the validation error is undone. A fit with 0 epochs is left
+    out. The fitted model goes to directory/model.ckpt. resume: continue from existing checkpoints. origin: provenance
+    of this training with its configuration; it is stored in the checkpoints, and resuming with another configuration is
+    refused.
     Raises ValueError for data or options that cannot be fitted, before any work.
     """
     directory = Path(directory)
@@ -149,8 +149,8 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., TorchModel],
 
 
 def cost_of(model: TorchModel, module: TrajectoryDataModule) -> dict[str, float]:
-    """What a model takes: state_dim, parameters (stored numbers that are not zero, `SCALES` aside), decays,
-    controlled_samples (of the training), and step_time, s, the median of a linearized step in NumPy.
+    """Cost of a model: state_dim, parameters (stored nonzero numbers without `SCALES`), decays and controlled_samples
+    of the training, and step_time, s, the median time of a linearized step in NumPy.
     """
     reduced, z, u = model.reduced.numpy(), np.zeros(model.state_dim), np.zeros(model.input_dim)
     times = []
@@ -166,9 +166,9 @@ def cost_of(model: TorchModel, module: TrajectoryDataModule) -> dict[str, float]
 
 
 def data_card(dataset: TrajectoryDataset, training: tuple) -> dict:
-    """What a deployed model must know of its data: names, units, rest, range of inputs and outputs, provenance.
+    """Information on the data for a deployed model: names, units, rest, range of inputs and outputs, provenance.
 
-    Raises ValueError when an input never changes.
+    Raises ValueError if an input never changes.
     """
     extremes = [run.extremes() for run in training]
     refuse_still_inputs(dataset, extremes)
@@ -183,7 +183,7 @@ def data_card(dataset: TrajectoryDataset, training: tuple) -> dict:
 
 def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, directory: Path, loggers,
          resume: bool) -> tuple[dict[str, float], str, float]:
-    """Scores of the fitted model, a sentence where the fit was undone, and the CPU time that it took, s."""
+    """Scores of the fitted model, a sentence if the fit was undone, and the CPU time of the fit, s."""
     validated = bool(module.validation)
     keep = ModelCheckpoint(dirpath=directory, filename="best", save_last=True, enable_version_counter=False,
                            monitor=fit.monitor if validated and fit.selects else None,
@@ -206,5 +206,5 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
         if available:
             scores |= run(fit, module, verbose=False)[0]
     undone = "" if improved else (f"The refinement was undone: its best validation error, {1e3 * best:.4g} mm, is not "
-                                  f"below the {1e3 * bar:.4g} mm it started from.")
+                                  f"below that of the model before it, {1e3 * bar:.4g} mm.")
     return {name: float(value) for name, value in scores.items()}, undone, duration

@@ -31,7 +31,8 @@ def held_out(recorded: Recorded) -> Finding:
     kinds = {run.kind for run in recorded.of("test")}
     if "controlled" not in kinds:
         return Finding(subject, LOOK, f"{count['test']} test runs, all of them decays.",
-                       "Use a controlled run as test run as well: the score must show the effect of the inputs.", numbers)
+                       "Use a controlled run as test run as well: the score must show the effect of the inputs.",
+                       numbers)
     return Finding(subject, GOOD, f"{count['test']} test and {count['validation']} validation runs; none shares "
                                   "samples "
                    "with the training.", "", numbers)

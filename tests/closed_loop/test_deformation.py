@@ -54,7 +54,7 @@ def test_the_replay_passes_through_the_recorded_positions_of_the_markers(trunk, 
 
 def test_another_plant_than_the_recorded_one_is_refused(trunk):
     record = recorded(trunk)
-    with pytest.raises(ValueError, match="the replay ends .* mm beside the record"):
+    with pytest.raises(ValueError, match="the replay ends .* mm away from the record"):
         replayed_shapes(Trunk("trunk_coarse", stiffness_scale=1.2), record, np.array([20]))
 
 

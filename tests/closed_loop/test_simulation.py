@@ -183,7 +183,7 @@ def test_a_wrong_plant_controller_or_task_is_refused_with_the_missing_attributes
 def test_a_control_period_that_is_no_multiple_of_the_timestep_is_refused():
     controller = Proportional(TASK)
     controller.period = 0.015
-    with pytest.raises(ValueError, match="0.015 s and the plant's timestep 0.01 s, 1.5 times"):
+    with pytest.raises(ValueError, match="0.015 s, which is 1.5 times the plant's timestep, 0.01 s"):
         simulate(Plant(), controller, TASK)
     with pytest.raises(ValueError, match="noise_std"):
         simulate(Plant(), Proportional(TASK), TASK, noise_std=-1.0)

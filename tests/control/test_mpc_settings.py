@@ -22,7 +22,7 @@ TASK = figure_eight(laps=1.0)
     ({"horizon": True}, "horizon is True"), ({"horizon": "5"}, "horizon is '5'"),
     ({"first_iterations": 1.5}, "first_iterations is 1.5"), ({"iterations": 0}, "iterations is 0"),
     ({"frozen_after": -1}, "frozen_after is -1; expected a whole number, 0 or more"),
-    ({"range_factor": np.nan}, "range_factor is nan; expected a positive, finite number"),
+    ({"range_factor": np.nan}, "range_factor is nan; expected a positive and finite number"),
     ({"range_factor": 0}, "range_factor is 0"), ({"range_factor": -1.0}, "range_factor is -1.0"),
     ({"period": np.nan}, "period is nan s"), ({"period": 0.0}, "period is 0.0 s"),
     ({"tolerance": 0.0}, "tolerance is 0.0"), ({"output_weight": np.inf}, "output_weight is inf 1/m²"),

@@ -319,5 +319,5 @@ def test_a_card_states_a_symmetry_for_the_selection(tmp_path):
     symmetry = {"angle": 180, "axis": [0, 0, 1], "inputs": ["-u"]}
     assert readers.custom(csv_card(tmp_path, symmetry=symmetry)).provenance["symmetry"] == symmetry
     assert "symmetry" not in readers.custom(csv_card(tmp_path)).provenance
-    with pytest.raises(ValueError, match=r"symmetry.inputs names \['cable'\], which are no inputs"):
+    with pytest.raises(ValueError, match=r"symmetry.inputs names \['cable'\], but the inputs are"):
         readers.custom(csv_card(tmp_path, symmetry={**symmetry, "inputs": ["cable"]}))

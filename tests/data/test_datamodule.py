@@ -1,4 +1,4 @@
-"""What the data module holds out, serves, and shares among processes."""
+"""The data module: held-out runs, the data for each fit, and their distribution over processes."""
 
 from types import SimpleNamespace
 
@@ -134,7 +134,7 @@ def check_rollout_shares(data):
 
 
 def test_more_processes_than_segments_are_refused_with_the_numbers():
-    with pytest.raises(ValueError, match="3 items for 4 processes; use fewer processes or smaller `rows`"):
+    with pytest.raises(ValueError, match="3 batches of data for 4 processes; use fewer processes, or a smaller `rows`"):
         next(shares(module(rows=10**6).prepare(CLOSED_FORM), 4))
 
 
@@ -183,7 +183,7 @@ def test_noise_is_on_training_runs_and_on_the_windows_of_validation_but_not_on_w
         module(noise_std=-1)
 
 
-def test_without_a_test_score_the_test_runs_are_not_there():
+def test_without_a_test_score_the_test_runs_are_not_read():
     assert module(score_test=False).test == () and module().test
 
 

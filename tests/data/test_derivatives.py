@@ -1,4 +1,4 @@
-"""Differences: their order, what they smooth, and the input that they have felt."""
+"""Stencils for derivatives: their order, their smoothing, and the mean input of each difference."""
 
 import numpy as np
 import pytest
@@ -73,7 +73,7 @@ def test_lines_are_differentiated_exactly(stencil):
     np.testing.assert_allclose(stencil(line, 0.05), -2.5, rtol=1e-12)
 
 
-def test_the_held_input_is_the_mean_that_the_difference_has_felt(stencil):
+def test_the_held_input_is_the_weighted_mean_that_belongs_to_the_difference(stencil):
     """dz/dt = u with u held between samples: the difference of z is the felt input, for any u."""
     rng = np.random.default_rng(1)
     inputs, h = rng.normal(size=(90, 3)), 0.013
@@ -81,7 +81,7 @@ def test_the_held_input_is_the_mean_that_the_difference_has_felt(stencil):
     np.testing.assert_allclose(stencil.held_input(inputs), stencil(z, h), rtol=0, atol=1e-12)
 
 
-def test_the_felt_input_is_a_mean_around_the_sample_and_a_held_one_is_felt_as_it_is(stencil):
+def test_the_mean_input_is_centred_at_the_sample_and_a_constant_input_is_unchanged(stencil):
     inputs = np.zeros((4 * stencil.half_width + 1, 1))
     inputs[2 * stencil.half_width] = 1.0
     felt = stencil.held_input(inputs)[:, 0]
@@ -90,7 +90,7 @@ def test_the_felt_input_is_a_mean_around_the_sample_and_a_held_one_is_felt_as_it
     np.testing.assert_allclose(stencil.held_input(np.full((50, 2), 0.7)), 0.7, rtol=1e-12)
 
 
-def test_difference_felt_and_sampled_input_belong_to_the_same_samples(stencil):
+def test_difference_held_and_sampled_input_belong_to_the_same_samples(stencil):
     w, t = stencil.half_width, np.arange(60.0)[:, None]
     np.testing.assert_array_equal(stencil.sampled_input(t), t[w:-w])
     assert len(stencil(t, 1.0)) == len(stencil.held_input(t)) == 60 - 2 * w
@@ -130,11 +130,11 @@ def test_smoothing_differences_pass_less_noise_than_central_ones_by_the_norm_of_
     (lambda: savitzky_golay(5, 5), "1 ≤ degree < window"), (lambda: savitzky_golay(5, 0), "degree 0"),
     (lambda: gaussian(0.1), "width 0.1 samples; expected at least 0.25"),
     (lambda: gaussian(float("nan")), "width nan"), (lambda: gaussian(float("inf")), "width inf"),
-    (lambda: Stencil((1.0, 2.0)), "2 weights; a centred stencil has an odd number, at least 3"),
+    (lambda: Stencil((1.0, 2.0)), "2 weights; expected an odd number of at least 3"),
     (lambda: Stencil((1.0,)), "1 weights"),
-    (lambda: Stencil((-1.0, 0.0, 1.0)), "differentiate a unit ramp to 2; expected 0 and 1"),
-    (lambda: Stencil((-0.5, 0.1, 0.5)), "weights sum to 0.1"),
-    (lambda: Stencil((float("nan"),) * 3), "weights sum to nan")])
-def test_what_is_no_derivative_is_refused_with_the_numbers(build, message):
+    (lambda: Stencil((-1.0, 0.0, 1.0)), "derivative of a ramp of slope 1 is 2; expected 0 and 1"),
+    (lambda: Stencil((-0.5, 0.1, 0.5)), "sum of the weights is 0.1"),
+    (lambda: Stencil((float("nan"),) * 3), "sum of the weights is nan")])
+def test_an_invalid_stencil_is_refused_with_the_numbers(build, message):
     with pytest.raises(ValueError, match=message):
         build()

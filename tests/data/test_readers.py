@@ -105,7 +105,7 @@ def test_a_file_that_is_no_matlab_file_is_refused(tmp_path, read):
 
 
 @pytest.mark.parametrize(("content", "message"), [
-    ({"y": np.ones((3, 5))}, r"holds \['y'\]; expected a cell array"),
+    ({"y": np.ones((3, 5))}, r"contains \['y'\]; expected a cell array"),
     ({"oData": np.ones((3, 5))}, "oData is not a cell array"),
     ({"oData": object_array([(np.ones(5), np.ones((3, 4)))])}, "expected rows {time 1×T, observation p×T}"),
     ({"oData": object_array([(np.ones((2, 5)), np.ones((3, 5)))])}, "expected rows "

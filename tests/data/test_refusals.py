@@ -1,4 +1,4 @@
-"""Recordings that nothing can be learned from are refused with the remedy."""
+"""Recordings from which nothing can be learned are refused with a remedy."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def dependent(run):
     (still, "inputs that never change in the training data: a .0.5., b"), (lost, "outputs that never move.*: y; "
                                                                                  ".*leave"),
     (copied, "output z is a copy of x.*leave it out"), (dependent, "output z is a linear combination of x, y.*leave")])
-def test_columns_that_tell_nothing_are_named(change, said):
+def test_columns_without_information_are_named(change, said):
     with pytest.raises(ValueError, match=said):
         check_learnable(changed(change))
 
@@ -93,7 +93,7 @@ def test_a_test_run_that_is_part_of_the_training_is_refused():
 def test_numbers_that_are_not_finite_never_become_a_run():
     given = runs()
     given[0]["y"][7, 1] = np.nan
-    with pytest.raises(ValueError, match="not finite, the first is sample 7"):
+    with pytest.raises(ValueError, match="not finite, the first one is sample 7"):
         dataset(given)
 
 

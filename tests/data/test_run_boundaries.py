@@ -81,9 +81,9 @@ def test_a_lost_marker_is_counted_in_rounded_samples_that_move_on():
     assert count_frozen(y) == before + 5
 
 
-def test_a_file_with_other_seams_than_the_known_is_refused():
+def test_a_file_whose_seams_differ_from_the_known_ones_is_refused():
     check_seams(np.array([5]), [5], "file")
-    with pytest.raises(ValueError, match=r"seams found before rows \[4\], expected before rows \[5\]"):
+    with pytest.raises(ValueError, match=r"seams were found before rows \[4\], but expected before rows \[5\]"):
         check_seams(np.array([4]), [5], "file")
 
 

@@ -123,11 +123,11 @@ def test_processes_share_the_segments_once_each_and_step_equally_often(segments,
     assert sorted(torch.cat(core).tolist()) == list(range(10 * segments))
 
 
-def test_a_run_that_its_transient_and_context_use_up_is_refused_with_the_numbers():
+def test_a_run_shorter_than_its_transient_and_context_is_refused_with_the_numbers():
     SegmentDataset([run(15, kind="decay")], before=4, after=2, transient=0.08)
     with pytest.raises(ValueError, match="'short' has 14 samples; a transient of 8 samples and 6 samples of context"):
         SegmentDataset([run(20), run(14, kind="decay", name="short")], before=4, after=2, transient=0.08)
-    with pytest.raises(ValueError, match="rows is 0; a segment holds at least 1"):
+    with pytest.raises(ValueError, match="rows is 0; expected at least 1"):
         SegmentDataset([run(20)], before=0, after=0, rows=0)
 
 
@@ -163,7 +163,7 @@ def test_drawn_starts_are_distinct_repeat_with_the_seed_and_are_all_there_are_wh
 
 
 def test_a_horizon_that_no_run_can_hold_is_refused_with_the_numbers():
-    with pytest.raises(ValueError, match="3 delays and a horizon of 10 samples need 14 samples, the longest of 2 "
+    with pytest.raises(ValueError, match="3 delays and a horizon of 10 samples need 14 samples, but the longest of 2 "
                                          "trajectories has 13"):
         RolloutDataset([run(13), run(5)], delays=3, horizon=10)
     with pytest.raises(ValueError, match="the longest of 0 trajectories has 0"):

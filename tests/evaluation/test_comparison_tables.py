@@ -61,7 +61,7 @@ def test_two_copies_of_a_model_are_tied_and_one_that_is_clearly_better_stands_al
     assert all(not each["full"] for each in found.values())  # one rollout tells nothing
     assert difference(without, "worse", "one", "1 s") == pytest.approx((1e-3, 1e-3, 1e-3))
     table = format_table(without)
-    assert [line.split()[-1] for line in table.splitlines()[2:5]] == ["%]"] * 3 and "tied with it" in table
+    assert [line.split()[-1] for line in table.splitlines()[2:5]] == ["%]"] * 3 and "tie, because" in table
     assert [cell.split()[-1] for cell in comparison_table(without, {}).splitlines()[3].split("|")[2:4]] == ["=", "="]
 
 
@@ -96,7 +96,7 @@ def test_a_model_that_diverged_from_one_start_is_no_tie():
     assert np.isinf(difference(scores, "once lost", "persistence", "50 ms").mean)
 
 
-def test_with_the_noise_of_the_loop_every_model_has_a_second_row_that_is_ranked_by_itself():
+def test_with_noise_every_model_has_a_second_row_that_is_ranked_separately():
     scores = compare_open_loop({"mine": off_by(1e-3)}, [run(np.ones((1500, 2)))], noise=1e-3)
     rows = [line.split("|")[1].strip() for line in comparison_table(scores, {}).splitlines()[2:]]
     assert rows[:4] == ["mine", "mine, noise 1 mm", "persistence", "persistence, noise 1 mm"]
@@ -122,7 +122,7 @@ def test_runs_of_one_name_are_a_group_and_decays_are_never_pooled_with_controlle
     assert set(plain["groups"]) == set(found.groups) and json.loads(json.dumps(plain, allow_nan=False))
 
 
-def test_kinds_that_hold_no_horizon_are_left_out_and_said():
+def test_kinds_of_runs_shorter_than_every_horizon_are_left_out_with_a_note():
     runs = [run(np.ones((400, 2)), "a"), run(np.ones((20, 2)), "release 1", "decay")]
     found = compare_groups({}, runs, horizons=(0.5,))
     assert found.left_out == ("decay",) and list(found.groups) == ["a"]

@@ -1,4 +1,4 @@
-"""The report of a closed loop: what nobody publishes together, each with a known answer."""
+"""The report of a closed loop: each of its values, with a known answer."""
 
 import json
 
@@ -38,7 +38,7 @@ def test_margins_are_the_smallest_distances_and_the_share_of_time_at_a_bound():
     assert (low.distance, low.share) == (0.0, 0.5) and (high.distance, high.share) == (0.0, 0.25)
 
 
-def test_a_designed_loop_tells_errors_speed_minutes_tuning_counts_and_margins(record, bench, tmp_path):
+def test_a_designed_loop_reports_errors_speed_minutes_tuning_counts_and_margins(record, bench, tmp_path):
     report = ClosedLoopRecord.load(record.save(tmp_path / "record.h5")).report()
     facts = json.loads(json.dumps(report.facts, allow_nan=False))
     assert facts["tuned"] == "designed from 2.5 min of recordings" and facts["minutes"] == 2.5
@@ -55,9 +55,9 @@ def test_a_designed_loop_tells_errors_speed_minutes_tuning_counts_and_margins(re
     assert "tuned: designed from 2.5 min of recordings" in repr(record)
 
 
-def test_what_is_not_known_is_said_to_be_so(record):
+def test_unknown_values_are_reported_as_not_known(record):
     bare = ClosedLoopRecord(**{**vars(record), "provenance": {"period": 0.01, "task": "mine"}}).report()
     assert bare.speed is None and bare.margins == () and bare.gated is None
-    for part in ("tuned: not told", "recordings used: not told", "speed of the reference: not known",
+    for part in ("tuned: not told", "recordings used: not known", "speed of the reference: not known",
                  "gated samples: not counted", "bounds: not known"):
         assert part in repr(bare)

@@ -136,7 +136,7 @@ def test_a_rollout_that_the_model_itself_flags_has_diverged_although_its_predict
     assert np.isinf(outputs).all() and len(time) == len(outputs) == 149
 
 
-def test_survivors_are_averaged_under_their_own_name_only():
+def test_the_mean_of_rollouts_that_did_not_diverge_has_its_own_name():
     """Starts at y = 1 blow up (prediction 11 > 10 max‖y‖), starts at y = 0 err by 0.5."""
     def predict(window, window_inputs, inputs):
         return np.repeat(np.where(window[:, -1:] > 0.5, 11.0, 0.5), inputs.shape[1], axis=1)
@@ -149,7 +149,7 @@ def test_survivors_are_averaged_under_their_own_name_only():
     assert summary["mean_per_output"] == [None]
 
 
-def test_not_a_number_counts_as_diverged():
+def test_nan_counts_as_diverged():
     nan = Predictor(lambda window, _, inputs: np.full((len(window), inputs.shape[1], 1), np.nan), 0, DT, DT)
     assert score_open_loop(nan, [run(np.ones(150))])["full"].diverged == 1.0
 
@@ -221,7 +221,7 @@ def test_models_of_any_step_are_compared_at_every_sample_and_agree_where_the_mot
     assert (coarse["230 ms"].steps, coarse["230 ms"].duration) == (23, pytest.approx(0.23))
 
 
-def test_a_model_of_coarse_steps_pays_for_what_it_does_not_see_between_them():
+def test_a_model_of_long_steps_has_an_error_between_them():
     """dy/dt = −2 y by steps of 0.1 s, exact at its own: in between the error is that of a chord of e^{−2t}."""
     inside = np.arange(1, 100) / 10
     low, high = np.exp(-0.2 * np.floor(inside)), np.exp(-0.2 * np.ceil(inside))
@@ -315,7 +315,7 @@ def test_a_horizon_that_no_trajectory_holds_is_refused_with_both_numbers():
 
 
 def test_a_horizon_shorter_than_a_sample_is_refused_and_one_shorter_than_a_step_is_interpolated():
-    with pytest.raises(ValueError, match="shorter than a sample"):
+    with pytest.raises(ValueError, match="shorter than the sampling time"):
         score_open_loop(persistence(DT), [line(400)], horizons=(0.5 * DT,))
     fine, coarse = (score_open_loop(persistence(n * DT), [line(400)], horizons=(0.05,)) for n in (1, 10))
     np.testing.assert_array_equal(fine["50 ms"].errors, coarse["50 ms"].errors)

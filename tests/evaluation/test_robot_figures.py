@@ -1,4 +1,4 @@
-"""Robots are drawn in mm as a viewer sees them, with the path that their tip has made so far."""
+"""Robots are drawn in mm as a viewer sees them, with the path of their tip so far."""
 
 import subprocess
 import sys
@@ -63,15 +63,15 @@ def surface_of(axes):
     ({"triangles": np.array([[0.0, 1.0, 2.0]])}, "float64.*whole numbers"),
     ({"triangles": np.empty((0, 3), dtype=int)}, r"\(0, 3\)"),
     ({"shapes": np.zeros((4, 240, 2))}, r"\(4, 240, 2\).*\(K, N, 3\)"),
-    ({"rest": np.zeros((239, 3))}, "239 nodes, the shapes 240"),
+    ({"rest": np.zeros((239, 3))}, "239 nodes, but the shapes have 240"),
     ({"tip_times": TIME[:-1]}, r"\(300,\) for 301 rows of tip_path"),
     ({"tip_path": TIP_PATH * np.nan}, "903 of 903 values of tip_path.*diverged"),
-    ({"tip_times": TIME + 1.0}, "from 0.6 to 5.8 s, tip_path from 1 to 7 s"),
-    ({"times": np.array([3.0, 2.0, 4.0, 5.0])}, "do not ascend"),
+    ({"tip_times": TIME + 1.0}, "0.6 to 5.8 s, but tip_path covers only 1 to 7 s"),
+    ({"times": np.array([3.0, 2.0, 4.0, 5.0])}, "are not ascending"),
     ({"plane": (0, 3)}, r"\(0, 3\)"),
     ({"plane": (1, 1)}, r"\(1, 1\)"),
 ])
-def test_what_does_not_belong_together_is_refused_with_both_numbers(changed, message, tmp_path):
+def test_arrays_that_do_not_fit_together_are_refused_with_both_numbers(changed, message, tmp_path):
     given = motion() | changed
     with pytest.raises(ValueError, match=message):
         robot_stills(**given)
@@ -135,7 +135,7 @@ def test_without_plane_reference_or_rest_there_is_one_row_with_the_path_alone():
     assert line_of(stages[0], "yours").get_color() == figures.colours(["yours"])["yours"]
 
 
-def test_what_is_near_covers_what_is_far():
+def test_near_faces_cover_far_ones():
     """A triangle, and half of it nearer to the viewer: the half is painted last, whichever the mesh lists first."""
     far = 0.02 * np.eye(3)
     near = far / 2 + 0.02 * STANDING.frame[2]
@@ -157,7 +157,7 @@ def test_the_shade_depends_on_the_light_but_not_on_the_order_of_a_triangles_node
 
 
 @pytest.mark.parametrize("up", ["+x", "+y", "+z", "-x", "-y", "-z"])
-def test_a_camera_keeps_lengths_and_hands_and_has_up_above(up):
+def test_a_camera_keeps_lengths_and_orientation_and_shows_up_above(up):
     for elevation, azimuth in ((0.0, 0.0), (35.0, -70.0), (-90.0, 200.0)):
         frame = Camera(elevation, azimuth, up).frame
         np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
@@ -172,7 +172,7 @@ def test_a_letter_in_x_and_y_is_not_mirrored_by_the_cameras_at_hand():
         assert np.linalg.det(camera.frame[:2, :2]) > 0.2 and camera.frame[0, 0] > 0.8 and camera.frame[1, 1] > 0.2
 
 
-def test_a_camera_that_cannot_be_is_refused():
+def test_an_invalid_camera_is_refused():
     with pytest.raises(ValueError, match="'z'; expected one of"):
         Camera(up="z")
     with pytest.raises(ValueError, match="nan°"):
@@ -237,7 +237,7 @@ def test_an_animation_that_fails_leaves_the_one_before(tmp_path, monkeypatch):
 def test_only_a_gif_at_a_rate_it_can_have_is_written(tmp_path):
     with pytest.raises(ValueError, match="robot.mp4.*ending in .gif"):
         robot_animation(tmp_path / "robot.mp4", **motion())
-    with pytest.raises(ValueError, match="100.0 frames per second; expected 1 to 50"):
+    with pytest.raises(ValueError, match="100.0 frames per second; a GIF can show 1 to 50"):
         robot_animation(tmp_path / "robot.gif", **motion(), rate=100.0)
 
 

@@ -52,7 +52,7 @@ def test_baselines_are_saved_and_loaded_as_any_model(found, data, tmp_path):
 
 @pytest.mark.parametrize(("models", "options", "error", "message"), [
     (["dnd"], {}, ValueError, "no kind of model 'dnd'; did you mean 'dmd'"),
-    ([3], {}, TypeError, "3 is no model; expected a name of conf/model"),
+    ([3], {}, TypeError, "3 is not a model; expected a name of conf/model"),
     (["dmd"], {"scored": ["w"]}, ValueError, "w")])
 def test_what_cannot_be_compared_is_refused_before_any_work(data, models, options, error, message):
     with pytest.raises(error, match=message):

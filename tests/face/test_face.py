@@ -76,7 +76,7 @@ def test_a_saved_model_predicts_the_same_and_keeps_its_card(data, dmd, tmp_path)
 def test_a_model_is_exported_with_its_artifact_or_not_at_all(dmd, tmp_path):
     with pytest.raises(ValueError, match="no format"):
         dmd.export(tmp_path / "artifact", "fortran")
-    with pytest.raises(ValueError, match="not by name; expected some of them"):
+    with pytest.raises(ValueError, match="no formats were given by name; expected one or more"):
         dmd.export(tmp_path / "artifact", ["c", "onnx"])
     assert not (tmp_path / "artifact").exists()
     dmd.export(tmp_path / "artifact", "c")
@@ -123,7 +123,7 @@ def test_a_path_of_ones_own_is_followed_and_held_at_its_end():
 
 @pytest.mark.parametrize(("times", "points", "message"), [
     ([0.0, 1.0], [[0.0], [0.0]], r"points of shape \(2, 1\) for 2 outputs .* expected \(T,\) and \(T, 2\)"),
-    ([0.0, 0.0], [[0.0, 0.0]] * 2, "expected two or more that increase"),
+    ([0.0, 0.0], [[0.0, 0.0]] * 2, "expected two or more, increasing"),
     ([0.0, np.nan], [[0.0, 0.0]] * 2, "not finite")])
 def test_paths_that_cannot_be_are_refused(times, points, message):
     with pytest.raises(ValueError, match=message):

@@ -48,9 +48,9 @@ def test_a_directory_keeps_what_the_command_keeps(data, tmp_path):
 @pytest.mark.parametrize(("kind", "options", "error", "message"), [
     ("smr", {}, ValueError, "no kind of model 'smr'; did you mean 'ssmr'"),
     ("ssmr", {"derivative": "gausian"}, ValueError, "no derivative 'gausian'; did you mean 'gaussian'"),
-    ("ssmr", {"ridge": {"dynamic": 0.1}, "state_dim": 4}, ValueError, r"ridge names \[.dynamic.\]; the regr"),
+    ("ssmr", {"ridge": {"dynamic": 0.1}, "state_dim": 4}, ValueError, r"ridge names \[.dynamic.\]; this fit has"),
     ("ssmr", {"state_dims": 4}, TypeError, "no option state_dims; did you mean model.state_dim"),
-    ("ssmr", {"fit.closed_form.rige": 0.0}, TypeError, "no fit.closed_form.rige; did you mean fit.closed_form.ridge"),
+    ("ssmr", {"fit.closed_form.rige": 0.0}, TypeError, "no key fit.closed_form.rige; did you mean fit.closed_form"),
 ])
 def test_options_that_do_not_exist_are_refused_with_the_nearest(data, kind, options, error, message):
     with pytest.raises(error, match=message):
@@ -85,5 +85,5 @@ def test_an_option_of_two_steps_is_refused_with_both_names():
                      "fit": {"closed_form": {"folds": 5}, "refinement": {"starts": 64, "_target_": "a.b"}}}
     assert dotted({"folds": 3, "fit.refinement.starts": 8}, configuration) == {
         "fit.closed_form.folds": 3, "fit.refinement.starts": 8}
-    with pytest.raises(TypeError, match="starts may be module.starts or fit.refinement.starts; say which"):
+    with pytest.raises(TypeError, match="starts may mean module.starts or fit.refinement.starts; give the full name"):
         dotted({"starts": 3}, configuration)

@@ -52,9 +52,9 @@ def test_a_model_finer_than_the_recordings_is_asked_for_their_step(data):
     ({"inputs": np.zeros((5, 3))}, r"inputs has shape \(5, 3\); expected \(…, H, 2\): left, right, held 0.01 s each"),
     ({"inputs": np.zeros((0, 2))}, "inputs has shape"),
     ({"past_inputs": np.zeros((2, 2))}, r"past_inputs has shape \(2, 2\); expected \(…, 1, 2\)"),
-    ({"past_inputs": None}, r"the chart of this model sees the inputs .* give past_inputs \(…, 1, 2\)"),
-    ({"window": np.zeros((3, 2, 3)), "inputs": np.zeros((2, 5, 2))}, r"batches of \[\(3,\), \(2,\)"),
-    ({"window": np.full((2, 3), np.nan)}, "window holds numbers that are not finite"),
+    ({"past_inputs": None}, r"the chart of this model needs the inputs .* give past_inputs \(…, 1, 2\)"),
+    ({"window": np.zeros((3, 2, 3)), "inputs": np.zeros((2, 5, 2))}, r"the leading shapes \[\(3,\), \(2,\)"),
+    ({"window": np.full((2, 3), np.nan)}, "window contains numbers that are not finite"),
 ])
 def test_arrays_of_another_shape_are_refused_with_what_is_expected(dmd, arguments, message):
     given = {"window": np.zeros((2, 3)), "inputs": np.zeros((4, 2)), "past_inputs": np.zeros((1, 2))} | arguments
@@ -112,12 +112,12 @@ def test_what_is_no_dataset_or_no_model_is_refused_by_name(data, dmd, given):
         ssmr.score(dmd, given)
     with pytest.raises(TypeError, match="expected a TrajectoryDataset, which read, load and"):
         ssmr.fit(given, "dmd", progress=False)
-    with pytest.raises(TypeError, match="is no model; expected what fit or load returns"):
+    with pytest.raises(TypeError, match="is not a model; expected the result of fit or load"):
         ssmr.score({"one": dmd, "other": given}, data)
 
 
 def test_data_without_test_runs_or_of_another_robot_are_refused(data, dmd):
-    with pytest.raises(ValueError, match="no run of split='validation' to score on, only"):
+    with pytest.raises(ValueError, match="no run of split='validation' to score; they have"):
         ssmr.score(dmd, data, split="validation")
     other = ssmr.trajectories(**linear_robot(), output_names=["x", "y", "z"], units={"length": "mm"})
     with pytest.raises(ValueError, match="inputs"):

@@ -1,4 +1,4 @@
-"""Closed-form fits: the optimizer that solves, and what it finds of a model that is known."""
+"""Closed-form fits of SSMR: the solving optimizer, and known models that must be recovered."""
 
 from dataclasses import replace
 
@@ -50,7 +50,7 @@ def test_a_known_model_is_recovered_at_the_order_of_the_difference(known, smooth
 
 
 @pytest.mark.parametrize(("alignment", "order"), [("held", 2), ("sample", 1)])
-def test_held_inputs_that_change_are_felt_at_second_order_and_at_first_if_taken_at_the_sample(
+def test_held_inputs_give_second_order_and_inputs_at_the_sample_first_order(
         known, solve_stages, alignment, order):
     errors = []
     for timestep in (0.005, 0.01):
@@ -73,7 +73,7 @@ def test_the_fit_does_not_depend_on_how_runs_are_cut_into_segments(known, solve_
             assert np.linalg.norm(cut - whole) < 1e-9 * np.linalg.norm(whole), table
 
 
-def test_the_solver_keeps_as_much_of_a_long_run_as_of_a_short_one(known):
+def test_the_memory_of_the_solver_does_not_grow_with_the_run(known):
     run = known.excited_runs(0.01, count=1, finest=1e-2)[0]
     long = replace(run, time=0.01 * np.arange(40 * run.length), observation=np.tile(run.observation, (40, 1)),
                    input=np.tile(run.input, (40, 1)))
@@ -105,7 +105,7 @@ def solver(ridge=0.0):
     return ExactSolve([torch.nn.Parameter(torch.zeros(1))], ridge)
 
 
-def test_batches_accumulate_to_the_solution_of_all_rows_and_each_step_starts_anew(rows):
+def test_batches_give_the_solution_of_all_rows_and_each_step_starts_empty(rows):
     features, targets = rows
     optimizer = solver()
     for chosen in (slice(0, 1), slice(1, 50), slice(50, 90)):
@@ -151,7 +151,7 @@ def test_a_ridge_below_zero_is_refused(rows, ridge):
         ridges(rows, ridge)
 
 
-def test_stages_are_the_steps_of_the_paper_and_reparametrization_is_one_of_them_where_it_is_asked_for(known):
+def test_stages_are_the_steps_of_the_paper_with_reparametrization_on_request(known):
     runs = known.decays(0.01, pairs=1, finest=1e-2)
     plain = SSMRLeastSquares(ssmr(runs, delays=1))
     detected = SSMRLeastSquares(ssmr(runs, delays=1), detection_delays=4, derivative=central_difference(4))
@@ -164,8 +164,8 @@ def test_stages_are_the_steps_of_the_paper_and_reparametrization_is_one_of_them_
 @pytest.mark.parametrize(("calibration", "tangent", "chosen", "message"), [
     ("joint", "decays", "controlled", "tangent_space stage.*no decay runs.*manifold_data=all"),
     ("frozen", "all", "controlled", "manifold stage.*'drift'.*no decay runs"),
-    ("frozen", "decays", "decay", "control stage.*'control'.*no controlled runs")])
-def test_runs_that_a_stage_needs_and_the_data_lack_are_named(known, solve_stages, calibration, tangent, chosen,
+    ("frozen", "decays", "decay", "control stage.*'control'.*there are no controlled runs")])
+def test_missing_runs_of_a_stage_are_named(known, solve_stages, calibration, tangent, chosen,
                                                              message):
     runs = known.decays(0.01, pairs=1, finest=1e-2) + known.excited_runs(0.01, count=1, finest=1e-2)
     procedure = SSMRLeastSquares(ssmr(runs), calibration=calibration, manifold_data=tangent)
@@ -177,7 +177,7 @@ def test_runs_that_a_stage_needs_and_the_data_lack_are_named(known, solve_stages
     ({"calibration": "both"}, "calibration is 'both'; expected one of \\('joint', 'frozen'\\)"),
     ({"input_alignment": "none"}, "input_alignment is 'none'"), ({"manifold_data": ""}, "manifold_data is ''"),
     ({"parametrization_fit": "curved"}, "parametrization_fit is 'curved'"),
-    ({"detection_delays": 0}, "detection_delays is 0, fewer than the model's 1")])
+    ({"detection_delays": 0}, "detection_delays is 0; expected at least 1")])
 def test_options_that_do_not_exist_are_refused(known, options, message):
     with pytest.raises(ValueError, match=message):
         SSMRLeastSquares(SSMR(2, 2, 4, 1), **options)
@@ -189,7 +189,7 @@ def test_cross_validation_with_a_single_fold_is_refused():
 
 
 @pytest.mark.parametrize("ridge", [-1.0, float("nan"), [0.0, -1e-6], {"default": 0.0, "dynamics": [float("inf")]}, []])
-def test_a_ridge_that_is_none_is_refused_before_any_data_are_seen(ridge):
+def test_an_invalid_ridge_is_refused_before_any_data_are_read(ridge):
     with pytest.raises(ValueError, match="ridge is .*; expected 0 or more, one value or several"):
         LeastSquaresFit(SSMRLeastSquares(SSMR(2, 2, 4, 1)), ridge)
 

@@ -72,21 +72,21 @@ def test_a_rule_for_the_dimension_is_followed_wherever_it_is_the_default(dataset
 
 @pytest.mark.parametrize(("build", "step"), [
     (Koopman, 0.005), (partial(Koopman, timestep=None), 0.005), (partial(Koopman, timestep=0.02), 0.02)])
-def test_a_step_of_the_models_own_is_one_that_a_partial_binds(known, module, build, step):
+def test_a_timestep_bound_by_a_partial_replaces_that_of_the_data(known, module, build, step):
     assert sized_model(build, known.dataset(timestep=0.005), module).timestep == step
 
 
 @pytest.mark.parametrize(("build", "message"), [
-    (SSMR, "model is SSMR, which cannot be called with input_dim, output_dim, timestep alone: missing a required "
-           r"argument: 'state_dim'; expected .* such as functools.partial\(SSMR, …\)"),
+    (SSMR, "model is SSMR, which cannot be called with only input_dim, output_dim, timestep: missing a required "
+           r"argument: 'state_dim'; expected .* for example functools.partial\(SSMR, …\)"),
     (lambda input_dim, output_dim: None, "got an unexpected keyword argument 'timestep'"),
-    (lambda: None, "model is .*<lambda>, which cannot be called with input_dim"),
-    (partial(SSMR, state_dim=2, input_dims=2), r"model binds \['input_dims'\] of SSMR, whose parameters are "
+    (lambda: None, "model is .*<lambda>, which cannot be called with only input_dim"),
+    (partial(SSMR, state_dim=2, input_dims=2), r"model binds \['input_dims'\], but the parameters of SSMR are "
                                                r"\['state_dim', 'input_dim',"),
-    ("SSMR", "model is 'SSMR'; expected a callable whose signature can be read"),
-    (lambda input_dim, output_dim, timestep, state_dim="gap": None, "state_dim='gap', a rule that looks at"),
+    ("SSMR", "model is 'SSMR'; expected a class or function with a readable signature"),
+    (lambda input_dim, output_dim, timestep, state_dim="gap": None, "the rule state_dim='gap'. The rule needs"),
 ])
-def test_a_callable_that_does_not_take_them_is_refused_by_name(dataset, module, build, message):
+def test_a_callable_without_the_needed_arguments_is_refused_by_name(dataset, module, build, message):
     with pytest.raises(ValueError, match=message):
         sized_model(build, dataset, module)
 
@@ -117,17 +117,17 @@ def test_fits_module_and_trainer_may_be_plain_functions_and_classes(dataset, tmp
 
 
 @pytest.mark.parametrize("none", [lambda model: GaussNewtonFit(model, epochs=0), partial(GaussNewtonFit, epochs=0)])
-def test_a_fit_of_no_epochs_is_left_out_however_it_says_so(dataset, tmp_path, none):
+def test_a_fit_with_zero_epochs_is_left_out(dataset, tmp_path, none):
     found = train(dataset, model=small, fits={"closed_form": least_squares, "refinement": none}, module=short,
                   trainer=quiet, directory=tmp_path)
     assert set(found.report) == {"closed_form"}
 
 
 @pytest.mark.parametrize(("changes", "message"), [
-    ({"module": lambda: None}, "module is .*<lambda>, which cannot be called with dataset alone"),
-    ({"trainer": lambda max_epochs: None}, "trainer is .*<lambda>, which cannot be called with max_epochs, callbacks"),
-    ({"fits": {"closed_form": lambda: None}}, r"fits\['closed_form'\] is .*cannot be called with the model alone"),
-    ({"fits": {"closed_form": 3}}, r"fits\['closed_form'\] is 3; expected a callable"),
+    ({"module": lambda: None}, "module is .*<lambda>, which cannot be called with only dataset"),
+    ({"trainer": lambda max_epochs: None}, "trainer is .*<lambda>, which cannot be called with only max_epochs"),
+    ({"fits": {"closed_form": lambda: None}}, r"fits\['closed_form'\] is .*cannot be called with only the model"),
+    ({"fits": {"closed_form": 3}}, r"fits\['closed_form'\] is 3; expected a class or function"),
 ])
 def test_what_cannot_be_called_is_refused_before_any_work(dataset, tmp_path, changes, message):
     options = {"model": small, "fits": {"closed_form": least_squares}, "module": short, "trainer": quiet} | changes

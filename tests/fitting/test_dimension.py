@@ -1,4 +1,4 @@
-"""The dimension that data ask for, on data whose dimension is known."""
+"""Rules for the number of reduced coordinates, on data whose dimension is known."""
 
 import numpy as np
 import pytest
@@ -60,17 +60,17 @@ def test_the_variance_rule_gives_the_least_even_dimension_that_suffices_or_all_t
     assert dimension_by_variance(np.array([3.0, 2.0, 1.0, 0.1, 0.01]), share) == dimension
 
 
-def test_the_gap_is_looked_for_at_even_dimensions_up_to_the_largest_asked_for():
+def test_the_gap_is_searched_at_even_dimensions_up_to_the_given_largest():
     values = np.array([1.0, 1e-3, 1e-4, 1e-4, 1e-7, 1e-7])
     assert dimension_by_gap(values) == 4
     assert dimension_by_gap(values, largest=2) == 2
 
 
-def test_rounding_noise_beyond_the_rank_is_no_gap():
+def test_rounding_noise_beyond_the_rank_does_not_count_as_a_gap():
     assert dimension_by_gap(np.array([1.0, 0.9, 0.1, 0.09, 1e-17, 1e-18, 1e-30, 0.0, 0.0])) == 4
 
 
-def test_an_integer_is_taken_as_it_is_without_looking_at_data():
+def test_an_integer_dimension_is_used_without_reading_data():
     assert choose_dimension(7, (), 3) == 7
 
 
@@ -80,10 +80,10 @@ def test_a_rule_that_does_not_exist_is_refused(rule):
         choose_dimension(rule, list(modes(1)), 1)
 
 
-def test_data_and_shares_that_decide_nothing_are_refused_with_the_numbers():
+def test_too_few_data_and_invalid_shares_are_refused_with_the_numbers():
     with pytest.raises(ValueError, match="share is 1.5; expected a number between 0 and 1"):
         choose_dimension("variance:1.5", list(modes(1)), 1)
-    with pytest.raises(ValueError, match="2 singular values; a gap needs at least 3"):
+    with pytest.raises(ValueError, match="2 singular values; the rule 'gap' needs at least 3"):
         dimension_by_gap(np.array([1.0, 0.5]))
     with pytest.raises(ValueError, match="no trajectories were given"):
         window_singular_values([], 3)

@@ -1,4 +1,4 @@
-"""What is said of a fit: counted divergence, and a warning for each thing that is doubtful."""
+"""Warnings about a fit: counted divergence, and a warning for each doubtful result."""
 
 from types import SimpleNamespace
 
@@ -89,7 +89,7 @@ def report_of(model, runs=None, condition=10.0, regression="drift", values=(1.0,
     return diagnose(fit, planar_runs() if runs is None else runs)
 
 
-def test_nothing_is_said_of_a_fit_with_nothing_doubtful_and_the_report_is_plain():
+def test_a_good_fit_has_no_warnings_and_its_report_holds_plain_values():
     report = report_of(planar())
     assert report["warnings"] == []
     np.testing.assert_allclose(sorted(report["eigenvalues"]), [[-1.0, -3.0], [-1.0, 3.0]], rtol=1e-12)
@@ -104,13 +104,13 @@ def only_warning(report):
     return warning
 
 
-def test_a_window_of_as_many_values_as_coordinates_is_said_to_allow_no_curved_manifold():
+def test_a_window_with_as_many_values_as_coordinates_gives_a_warning():
     model = SSMR(4, 1, 4, 0, dynamics_degree=2, timestep=TIMESTEP)
     with torch.no_grad():
         model.drift_table[:, :4] = -torch.eye(4)
         model.state_scale.fill_(1.0)
     warning = only_warning(report_of(model))
-    assert warning.startswith("The window holds p = 4 values, as many as the n = 4 reduced coordinates")
+    assert warning.startswith("The window holds p = 4 values and there are n = 4 reduced coordinates")
 
 
 def test_unstable_eigenvalues_are_counted_with_the_largest():
@@ -122,31 +122,31 @@ def test_unstable_eigenvalues_are_counted_with_the_largest():
 
 
 @pytest.mark.parametrize(("decays", "degree", "doubtful"), [(1, 2, True), (2, 2, False), (2, 3, True), (0, 1, False)])
-def test_too_few_decays_for_the_degree_are_said_to_be_so(decays, degree, doubtful):
+def test_too_few_decays_for_the_degree_give_a_warning(decays, degree, doubtful):
     warnings = report_of(planar(dynamics_degree=degree), planar_runs(decays))["warnings"]
     needed = {1: 2, 2: 5, 3: 9}[degree]
-    said = f"{decays} decays for {needed} coefficients per row"
+    said = f"{decays} decays are too few for {needed} coefficients per row"
     assert doubtful == any(warning.startswith(said) for warning in warnings)
     joint = report_of(planar(dynamics_degree=degree), planar_runs(decays), regression="dynamics")["warnings"]
     assert not any("coefficients per row" in warning for warning in joint)
 
 
-def test_no_decays_are_said_to_be_missing():
+def test_missing_decays_give_a_warning():
     assert any(warning.startswith("No decays") for warning in report_of(planar(), planar_runs(0))["warnings"])
 
 
 @pytest.mark.parametrize("condition", [1e9, float("inf")])
 def test_an_ill_conditioned_regression_is_named(condition):
     assert only_warning(report_of(planar(), condition=condition)).startswith(
-        f"The drift regression has condition {condition:.2g}")
+        f"The drift regression has condition number {condition:.2g}")
 
 
-def test_little_captured_variance_is_said_with_the_share():
+def test_little_captured_variance_gives_a_warning_with_the_share():
     assert only_warning(report_of(planar(), values=(1.0, 0.5, 0.5, 0.1))).startswith(
         "The 2 leading directions capture 82.8 % of the variance, less than 95 %")
 
 
-def test_divergence_is_said_with_its_share():
+def test_divergence_gives_a_warning_with_its_share():
     """dr/dt = -r + 30 r³ from r = 0.1 √2 shrinks, from twice that it explodes."""
     model = planar(dynamics_degree=3)
     with torch.no_grad():

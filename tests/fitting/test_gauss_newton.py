@@ -84,7 +84,7 @@ def started(known, kind):
 @pytest.mark.filterwarnings("ignore:.*does not have many workers")
 @pytest.mark.filterwarnings("ignore:.*smaller than the logging interval")
 @pytest.mark.parametrize("kind", [pytest.param(SSMR, marks=pytest.mark.slow), ControlAugmentedSSMR])
-def test_what_a_linear_model_misses_is_found_and_the_result_is_guarded(known, tmp_path, kind):
+def test_nonlinear_terms_are_found_and_the_result_passes_the_guard(known, tmp_path, kind):
     model = started(known, kind)
     dataset = known.dataset()
     fit, (before, after), trainer = fitted(model, dataset, tmp_path)
@@ -95,7 +95,7 @@ def test_what_a_linear_model_misses_is_found_and_the_result_is_guarded(known, tm
 
 @pytest.mark.filterwarnings("ignore:.*does not have many workers")
 @pytest.mark.filterwarnings("ignore:.*smaller than the logging interval")
-def test_an_unstable_start_is_made_to_hold_first(known, tmp_path):
+def test_an_unstable_first_model_is_repaired_before_the_fit(known, tmp_path):
     model = started(known, SSMR)
     with torch.no_grad():
         model.drift_table[:, :2] += 2 * torch.eye(2)
@@ -108,7 +108,7 @@ def test_an_unstable_start_is_made_to_hold_first(known, tmp_path):
 @pytest.mark.filterwarnings("ignore:.*smaller than the logging interval")
 @pytest.mark.parametrize(("kind", "share"), [
     pytest.param(SSMR, 0.08, marks=pytest.mark.slow), (ControlAugmentedSSMR, 0.03)])
-def test_a_start_that_runs_away_under_stronger_inputs_is_led_back(known, tmp_path, kind, share):
+def test_a_model_that_diverges_under_larger_inputs_is_corrected(known, tmp_path, kind, share):
     model, dataset = started(known, kind), known.dataset()
     table = model.drift_table if kind is SSMR else model.dynamics_table
     exponents = torch.from_numpy(model.structure.dynamics.exponents[:table.shape[1]])
@@ -125,12 +125,12 @@ def test_a_start_that_runs_away_under_stronger_inputs_is_led_back(known, tmp_pat
 
 @pytest.mark.parametrize(("options", "message"), [
     ({"epochs": -1}, "epochs -1, starts 400"), ({"horizon": 0.0}, "horizon 0.0 s"),
-    ({"trained": ["everything"]}, "expected some of")])
+    ({"trained": ["everything"]}, "expected one or more of")])
 def test_impossible_settings_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         GaussNewtonFit(SSMR(2, 1, 2), **options)
 
 
 def test_more_coefficients_than_a_step_can_take_are_refused():
-    with pytest.raises(ValueError, match="more than the 6000 of which"):
+    with pytest.raises(ValueError, match="can train at most 6000"):
         GaussNewtonFit(ControlAugmentedSSMR(12, 8, 9, 1, dynamics_degree=3))

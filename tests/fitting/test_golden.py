@@ -54,7 +54,7 @@ def parametrization_error(model, runs):
 
 
 @torch.no_grad()
-def test_the_cubic_manifold_of_the_hardware_diamond_has_the_published_errors_and_eigenvalues(cubic):
+def test_the_cubic_manifold_of_the_real_diamond_has_the_published_errors_and_rates(cubic):
     model, runs = cubic
     assert parametrization_error(model, [runs[i] for i in TRAIN]) == pytest.approx(0.7927, abs=5e-5)
     assert parametrization_error(model, [runs[i] for i in TEST]) == pytest.approx(0.7303, abs=5e-5)
@@ -67,7 +67,7 @@ def test_the_cubic_manifold_of_the_hardware_diamond_has_the_published_errors_and
 @torch.no_grad()
 @pytest.mark.parametrize(("degree", "published"), [
     (3, 8.5), pytest.param(2, 10.5, marks=pytest.mark.slow), pytest.param(1, 12.7, marks=pytest.mark.slow)])
-def test_held_out_hardware_decays_are_predicted_as_well_as_published(decays, solve_stages, degree, published):
+def test_held_out_decays_of_the_real_diamond_are_predicted_as_published(decays, solve_stages, degree, published):
     runs = decays(4, timestep=0.01)
     model = SSMR(6, 4, 3, 4, parametrization_degree=degree, dynamics_degree=degree, control_degree=0, substeps=2)
     procedure = SSMRLeastSquares(model, calibration="frozen", parametrization_fit="full")

@@ -121,7 +121,7 @@ def test_the_gradient_of_the_rollout_loss_equals_central_differences():
         assert (values[0] - values[1]) / 2e-6 == pytest.approx(slope, rel=1e-6, abs=1e-7), name
 
 
-def test_the_loss_is_one_at_its_start_and_every_step_ahead_counts_alike():
+def test_the_loss_is_one_at_its_start_and_all_steps_ahead_have_the_same_weight():
     fit, batch = started()
     assert float(fit.training_step(batch, 0).detach()) == pytest.approx(1.0, rel=1e-12)
     with torch.no_grad():
@@ -134,7 +134,7 @@ def test_the_loss_is_one_at_its_start_and_every_step_ahead_counts_alike():
 
 
 @pytest.mark.slow
-def test_a_fit_stops_when_nothing_better_comes(known, tmp_path):
+def test_a_fit_stops_without_an_improvement(known, tmp_path):
     model = NeuralODE(2, 2, 4, 0, width=4)
     run(LeastSquaresFit(NeuralODEStart(model), 1e-8), known.dataset(), tmp_path)
     _, trainer = run(GradientFit(model, epochs=40, learning_rate=1e-300, patience=3, frozen=FROZEN), known.dataset(),
@@ -143,7 +143,7 @@ def test_a_fit_stops_when_nothing_better_comes(known, tmp_path):
 
 
 @pytest.mark.parametrize("validation_share", [0.0, 0.2])
-def test_a_fit_stops_when_its_time_is_up_and_keeps_what_it_found(known, tmp_path, validation_share):
+def test_a_fit_stops_when_its_time_is_over_and_keeps_its_best_epoch(known, tmp_path, validation_share):
     fits = {"start": partial(neural_ode_start, ridge=1e-8),
             "training": partial(GradientFit, epochs=1000, learning_rate=1e-3, minutes=0.01, frozen=())}
     result = train(known.dataset(), model=partial(NeuralODE, state_dim=2, delays=0, width=4), fits=fits,
@@ -169,7 +169,7 @@ def test_rollouts_grow_and_the_learning_rate_falls_with_the_share_of_the_fit_tha
 
 
 def test_a_model_that_was_not_fitted_is_refused(known, tmp_path):
-    with pytest.raises(ValueError, match="was not fitted; put its closed form before"):
+    with pytest.raises(ValueError, match="was not fitted yet, .* run its closed-form fit before"):
         run(GradientFit(NeuralODE(2, 2, 4, 0), frozen=()), known.dataset(), tmp_path)
 
 
@@ -181,7 +181,7 @@ def test_a_fit_trains_what_an_earlier_one_froze():
     assert [name for name, p in model.named_parameters() if not p.requires_grad] == ["chart"]
 
 
-def test_what_a_fit_has_seen_travels_with_its_checkpoint():
+def test_the_state_of_a_fit_is_stored_in_its_checkpoint():
     (fit, batch), (again, _) = started(), started()
     fit.training_step(batch, 0)
     fit._best, fit._waited = 0.25, 3
@@ -194,7 +194,7 @@ def test_what_a_fit_has_seen_travels_with_its_checkpoint():
 
 @pytest.mark.parametrize("options", [{"first_share": 0.0}, {"patience": 0}, {"minutes": -1.0}, {"weight_decay": -1.0}])
 def test_impossible_settings_are_refused(options):
-    with pytest.raises(ValueError, match="expected a share of at most 1 and positive numbers"):
+    with pytest.raises(ValueError, match="expected positive numbers, first_share ≤ 1"):
         GradientFit(SSMR(2, 1, 2), **options)
 
 

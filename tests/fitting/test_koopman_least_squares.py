@@ -74,7 +74,7 @@ def test_dynamic_mode_decomposition_is_that_of_pydmd(solve_stages):
     np.testing.assert_allclose(model.B.detach().numpy() * scale[:, None], theirs.B, rtol=0, atol=1e-8)
 
 
-def test_a_quadratic_map_is_followed_for_ever_where_its_observables_are_lifted_anew(solve_stages):
+def test_a_quadratic_map_is_predicted_without_error_by_edmd_with_relifting(solve_stages):
     """y⁺ = y + 0.2 (u - y - y²): no monomials propagate linearly, but ψ of degree 2 gives the next y."""
     u, y, outputs = RNG.uniform(0, 1, (400, 1)), np.zeros(1), []
     for value in u:
@@ -186,7 +186,7 @@ def test_rounding_of_the_recorded_inputs_makes_no_set_points(solve_stages):
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"input_delays": 3}, "input_delays is 3; expected 0 to the 1 delays"), ({"degree": 0}, "degree is 0")])
+    ({"input_delays": 3}, "input_delays is 3; expected 0 to 1, the number of delays"), ({"degree": 0}, "degree is 0")])
 def test_impossible_liftings_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         Koopman(2, 2, **options)
@@ -194,9 +194,9 @@ def test_impossible_liftings_are_refused(options, message):
 
 def test_missing_runs_and_odd_timesteps_are_refused(solve_stages):
     model = Koopman(2, 2, input_delays=0, constant=False, pregain=True)
-    with pytest.raises(ValueError, match="pregain stage found no rows: the training data hold no static runs"):
+    with pytest.raises(ValueError, match="pregain stage found no data: there are no static runs"):
         solve_stages(KoopmanLeastSquares(model), pendulum_runs())
-    with pytest.raises(ValueError, match="0.025 s and the data's 0.01 s, 2.5 times"):
+    with pytest.raises(ValueError, match="0.025 s, which is 2.5 times the data's, 0.01 s"):
         KoopmanLeastSquares(Koopman(2, 2, timestep=0.025)).sampled_every(0.01)
-    with pytest.raises(ValueError, match="kinds is .*; expected some of"):
+    with pytest.raises(ValueError, match="kinds is .*; expected one or more of"):
         KoopmanLeastSquares(Koopman(2, 2), kinds=("all",))

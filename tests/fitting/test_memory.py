@@ -1,4 +1,4 @@
-"""Closed forms stream their data: the peak of a process's memory grows by a fraction of what the data do."""
+"""Closed-form fits stream their data: peak memory grows by only a fraction of the size of the data."""
 
 import subprocess
 import sys
@@ -50,7 +50,7 @@ def peak(path, model):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["SSMR", "EDMD"])
-def test_a_closed_form_of_a_hundred_times_the_data_takes_less_than_half_of_their_size_more(tmp_path, model):
+def test_the_memory_of_a_closed_form_fit_grows_by_less_than_half_the_size_of_the_data(tmp_path, model):
     rng, peaks = np.random.default_rng(0), {}
     for copies in (1, 100):
         runs = [run(rng, kind) for _ in range(copies) for kind in ("decay", "controlled")]

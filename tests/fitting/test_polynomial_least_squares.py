@@ -101,11 +101,11 @@ def test_impossible_options_and_missing_runs_are_refused(solve_stages):
                              ({"future": 0}, "future is 0 samples")):
         with pytest.raises(ValueError, match=message):
             PolynomialLeastSquares(model, **options)
-    for options, message in (({"chart": "tangent_space"}, "2 values in the window are fewer than the 3"),
+    for options, message in (({"chart": "tangent_space"}, "2 values in the window, fewer than the 3"),
                              ({"chart": "predictive", "future": 1}, "2 values in this and 1 further sample")):
         with pytest.raises(ValueError, match=message):
             PolynomialLeastSquares(ControlAugmentedSSMR(3, 2, 1, 1), **options)
-    with pytest.raises(ValueError, match="the training data hold no decays"):
+    with pytest.raises(ValueError, match="there are no decays"):
         solve_stages(PolynomialLeastSquares(model, chart="tangent_space"), runs(linear_map, np.eye(2), decays=0))
 
 
@@ -142,7 +142,7 @@ def test_a_map_of_the_lifted_window_is_recovered_without_a_stage_for_its_chart(s
 
 def test_a_refinement_of_a_chart_that_has_no_coefficients_is_refused():
     assert [table.shape[1] for table in coefficients(LiftedMap(2, 2), ["dynamics"])] == [6, 4]
-    with pytest.raises(ValueError, match="LiftedMap has no coefficients of its chart; leave it out"):
+    with pytest.raises(ValueError, match="LiftedMap has no coefficients in its chart; remove chart from trained"):
         coefficients(LiftedMap(2, 2), ["dynamics", "chart"])
 
 
@@ -153,17 +153,17 @@ def test_a_flow_is_recovered_by_the_derivative_of_its_states(known, solve_stages
     assert errors["drift"] < 1e-5 and errors["control"] < 1e-4 and errors["outputs"] < 1e-9
 
 
-def test_a_map_is_fitted_at_the_sampling_time_of_the_data_alone():
+def test_a_map_is_fitted_only_at_the_sampling_time_of_the_data():
     procedure = PolynomialLeastSquares(ControlAugmentedSSMR(2, 2, 2, 1, timestep=0.02))
     procedure.sampled_every(0.02)
-    with pytest.raises(ValueError, match="covers 0.02 s, the data are sampled every 0.01 s"):
+    with pytest.raises(ValueError, match="covers 0.02 s, but the data are sampled every 0.01 s"):
         procedure.sampled_every(0.01)
 
 
-def test_closed_forms_refuse_models_of_another_family():
-    with pytest.raises(ValueError, match="NeuralODE is no polynomial model"):
+def test_closed_form_fits_refuse_models_of_another_kind():
+    with pytest.raises(ValueError, match="NeuralODE is not a polynomial model"):
         PolynomialLeastSquares(NeuralODE(2, 2, 2, 1))
-    with pytest.raises(ValueError, match="NeuralODE does not say how it begins as a linear model"):
+    with pytest.raises(ValueError, match="NeuralODE cannot start from a linear model"):
         LinearStart(NeuralODE(2, 2, 2, 1))
-    with pytest.raises(ValueError, match="ControlAugmentedSSMR is no SSMR"):
+    with pytest.raises(ValueError, match="ControlAugmentedSSMR is not an SSMR"):
         SSMRLeastSquares(ControlAugmentedSSMR(2, 2, 2, 1))

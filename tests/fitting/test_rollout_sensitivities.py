@@ -83,5 +83,5 @@ def test_the_coefficients_are_views_of_the_models_tables():
 def test_models_and_groups_without_tables_are_refused():
     with pytest.raises(ValueError, match="Koopman has no coefficient tables.*fit=rollout"):
         coefficients(Koopman(1, 1))
-    with pytest.raises(ValueError, match="trained is .'manifold'.; expected some of"):
+    with pytest.raises(ValueError, match="trained is .'manifold'.; expected one or more of"):
         coefficients(random(MODELS["continuous time"]), ("manifold",))

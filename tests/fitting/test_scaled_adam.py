@@ -1,4 +1,4 @@
-"""Adam on coefficients in units of their own effect."""
+"""Adam on scaled coefficients."""
 
 import pytest
 import torch
@@ -77,7 +77,7 @@ def model():
 
 
 @torch.no_grad()
-def test_a_step_of_one_scale_changes_a_row_at_the_edge_of_the_data_by_as_much_as_the_row_is_large(model):
+def test_a_step_of_one_scale_changes_a_row_at_the_edge_of_the_data_by_its_own_size(model):
     edge = model.state_scale
     joint = model.structure.dynamics(torch.cat([edge, torch.ones(2, dtype=torch.float64)]))
     free = model.drift_table.shape[1]

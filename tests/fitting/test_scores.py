@@ -1,4 +1,4 @@
-"""The score that all fits share: errors of rollouts, divergence, and inputs stronger than recorded."""
+"""Scores of all fits: rollout errors, divergence, and inputs larger than recorded."""
 
 from functools import partial
 
@@ -86,7 +86,7 @@ def test_the_score_of_a_model_that_diverges_is_infinite_and_its_share_is_counted
     assert np.isinf(scores(constant_model(5.0), still(horizon=5))["rmse"])
 
 
-def test_a_model_that_diverges_under_inputs_stronger_than_recorded_scores_infinite_where_that_is_asked(tmp_path):
+def test_a_model_that_diverges_under_larger_inputs_scores_infinite_with_overdrive(tmp_path):
     """dz/dt = (u − 2) z decays under the recorded u = 1.5 and grows beyond all bounds under twice that."""
     scored = still(30, 0.5, inputs=np.full(32, 1.5))
     trainer, fit = TRAINER(default_root_dir=tmp_path), ModelFit(growing_under_inputs())
@@ -140,7 +140,7 @@ MODELS = {
 
 
 @pytest.mark.parametrize("kind", MODELS)
-def test_a_fit_is_scored_by_what_scores_every_model(tmp_path, kind):
+def test_a_fit_is_scored_in_the_same_way_as_every_model(tmp_path, kind):
     rng, model = np.random.default_rng(1), MODELS[kind]()
     runs = tuple(Trajectory(0.01 * np.arange(length), np.cumsum(0.01 * rng.normal(size=(length, 2)), axis=0),
                             rng.normal(size=(length, 2))) for length in (400, 250, 90))
@@ -167,7 +167,7 @@ def test_predictions_start_from_windows_with_noise_and_are_compared_with_what_wa
     assert scores(constant_model(0.0), noisy)["rmse"] == pytest.approx(0.25, rel=1e-12)
 
 
-def test_controlled_runs_are_what_a_fit_is_judged_by_and_decays_stand_beside_them():
+def test_a_fit_is_scored_on_controlled_runs_and_separately_on_decays():
     """A model that stays is exact on the one controlled run and off by 1 on 74 decays, which would decide a mean."""
     def runs(kind, levels, count):
         return [Trajectory(0.1 * np.arange(len(levels)), levels[:, None], np.zeros((len(levels), 1)), kind)

@@ -1,4 +1,4 @@
-"""`fit(data)`: a slow-fast model chosen from the data, what it refuses, and what it leaves on disk."""
+"""`fit(data)`: the choice of a slow-fast model from the data, its refusals, and the files that it writes."""
 
 import re
 import warnings
@@ -85,7 +85,7 @@ def test_without_a_kind_a_slow_fast_model_is_chosen_and_predicts_new_runs(model,
     window, inputs, past, measured = start(model, data)
     assert np.abs(model.predict(window, inputs, past) - measured).max() < 0.05 * np.ptp(measured, axis=0).max()
     said = " ".join(model.report["selection"]["found"])
-    assert "Chosen for prediction among" in said and "Error on stretches held out" in said
+    assert "Chosen for prediction among" in said and "Error on held-out parts" in said
     assert model.report["selection"]["facts"]["members"]
 
 
@@ -98,7 +98,7 @@ def test_the_same_data_give_the_same_choice_to_the_last_bit(few, data):
     assert all((one.module.state_dict()[name] == value).all() for name, value in two.module.state_dict().items())
 
 
-def test_silence_is_kept_and_a_notebooks_random_numbers_are_left_alone(few, data, capfd):
+def test_a_fit_without_progress_prints_nothing_and_keeps_the_random_state(few, data, capfd):
     np.random.seed(3)
     before = np.random.get_state()[1].copy()
     fitted(data)
@@ -160,7 +160,7 @@ def test_outputs_that_are_scored_are_those_of_the_trial(few, data):
     assert few[0].samples.targets == [2]
 
 
-def test_a_stated_noise_gives_a_chart_that_takes_it(few, model, data):
+def test_a_stated_noise_gives_a_chart_for_this_noise(few, model, data):
     filtered = fitted(data, noise=2e-4)
     window, inputs, past, measured = start(filtered, data)
     errors, rng = [], np.random.default_rng(0)
@@ -173,11 +173,11 @@ def test_a_stated_noise_gives_a_chart_that_takes_it(few, model, data):
 
 
 @pytest.mark.parametrize(("options", "error", "says"), [
-    ({"scored": ["tip"]}, ValueError, r"scored names \['tip'\], which are no outputs; there are \['y1', 'y2', 'y3'\]"),
+    ({"scored": ["tip"]}, ValueError, r"scored names \['tip'\], .* outputs are \['y1', 'y2', 'y3'\]"),
     ({"purpose": "fun"}, ValueError, "purpose is 'fun'; expected one of .'prediction', 'control'"),
     ({"team": 0}, ValueError, "team is 0"), ({"noise": -1e-3}, ValueError, "noise is -0.001"),
     ({"symmetry": "some"}, ValueError, "symmetry is 'some'"), ({"minutes": -1}, ValueError, "minutes is -1"),
-    ({"coordinates": ["polar"]}, ValueError, "output coordinates 'polar': the data suggest"),
+    ({"coordinates": ["polar"]}, ValueError, "output coordinates 'polar' are not possible"),
     ({"teams": 2}, TypeError, "no option teams; did you mean .*team")])
 def test_settings_that_make_no_sense_are_refused_before_any_search(few, data, options, error, says):
     with pytest.raises(error, match=says):
@@ -219,7 +219,7 @@ def alike(run):
     ({"change": alike, "decays": 0}, "all 3 runs have the same contents; record runs that differ"),
     ({"change": two_samples, "decays": 0}, "has 2 samples; a start needs 20 before and 50 after it.*longer runs"),
 ])
-def test_recordings_that_teach_nothing_are_refused_with_the_remedy(few, given, says):
+def test_recordings_without_information_are_refused_with_the_remedy(few, given, says):
     with pytest.raises(ValueError, match=says):
         fitted(ssmr.trajectories(**recorded(**given), minimum_length=2))
     assert not few
@@ -233,7 +233,7 @@ def test_one_run_only_is_refused(few):
 
 def test_decays_alone_are_refused(few):
     given = recorded()
-    with pytest.raises(ValueError, match="inputs that never change|no controlled runs to learn from"):
+    with pytest.raises(ValueError, match="inputs that never change|no controlled training runs"):
         fitted(ssmr.trajectories(decays=given["decays"], test=given["test"], units=given["units"]))
     assert not few
 
@@ -272,7 +272,7 @@ def test_the_whole_selection_beats_persistence_and_finds_the_same_again(data):
 @pytest.mark.parametrize("seconds", [0.3, 0.5, 0.8])
 def test_training_runs_that_are_too_short_are_refused_with_what_they_need(few, seconds):
     given = recorded(runs=2, seconds=seconds, decays=0) | {"test": [robot(9, 6.0)]}
-    with pytest.raises(ValueError, match="no two stretches to hold out .* 21 samples .*; record more runs, or longer"):
+    with pytest.raises(ValueError, match="are too short: .* 21 samples; record more runs, or runs longer"):
         fitted(ssmr.trajectories(**given))
     assert not few
 
@@ -283,7 +283,7 @@ def test_test_runs_that_are_too_short_to_score_are_refused_before_any_search(few
     assert not few
 
 
-def test_a_coarser_timestep_sees_every_second_sample(few, data):
+def test_a_timestep_of_two_samples_uses_every_second_sample(few, data):
     model = fitted(data, timestep=0.04)
     assert model.timestep == model.window_timestep == 0.04 and len(few[0].samples.controlled[0][0]) == 150
     run, at = data.select("test")[0], 60
@@ -300,7 +300,7 @@ def test_a_timestep_that_is_no_multiple_of_the_recordings_is_refused(few, data):
     assert not few
 
 
-def test_what_leaves_the_training_is_said_once_a_call(model, data):
+def test_leaving_the_training_range_gives_one_warning_per_call(model, data):
     window, inputs, past, _ = start(model, data, horizon=20)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -309,5 +309,5 @@ def test_what_leaves_the_training_is_said_once_a_call(model, data):
         found = model.predict(window, 4.0 * np.tile(inputs, (20, 1)), past)
     assert np.isfinite(found).all() and len(said) == 2
     inside, outside = (str(each.message) for each in said)
-    assert re.match(r"inputs leave the range of the training: u[12] goes from .* do not trust", inside)
-    assert re.match(r"outputs leave the range of the training: y[123] goes from .* mm", outside)
+    assert re.match(r"inputs leave the training range: u[12] is between .* not reliable", inside)
+    assert re.match(r"outputs leave the training range: y[123] is between .* mm", outside)

@@ -60,7 +60,7 @@ def test_an_unstable_map_is_moved_onto_the_circle_that_the_margin_sets():
 
 
 @pytest.mark.parametrize("margin", [0.03, 0.05, 0.1, 0.7, 1.3])
-def test_eigenvalues_that_were_moved_hold_in_double_precision(margin):
+def test_moved_eigenvalues_pass_the_guard_in_double_precision(margin):
     guard, model = StabilityGuard([run()], margin=margin), spiral(0.7, kind=ControlAugmentedSSMR)
     assert guard.stabilize(model) == 2 and guard.stabilize(model) == 0
 
@@ -74,13 +74,13 @@ def test_nonlinear_terms_that_diverge_are_shrunk_by_the_largest_factor_that_does
     assert GUARD.diverges(spiral(-0.5, cubic=80.0 * factor, kind=kind))
 
 
-def test_runs_are_followed_to_their_end():
+def test_rollouts_of_the_guard_reach_the_end_of_a_run():
     slow = spiral(0.0, cubic=1.9)
     assert not StabilityGuard([run(60)]).diverges(slow)
     assert StabilityGuard([run(60), run(3000)]).diverges(slow)
 
 
-def test_starts_within_a_run_are_followed_as_well_as_its_first():
+def test_rollouts_of_the_guard_also_begin_within_a_run():
     from_rest = run(300)
     ahead = 1 - np.exp(-from_rest.time[:, None] / 0.2)
     growing = Trajectory(from_rest.time, ahead * from_rest.observation, 0 * from_rest.input)
@@ -91,7 +91,7 @@ def test_starts_within_a_run_are_followed_as_well_as_its_first():
 def test_a_model_that_was_not_fitted_is_refused():
     model = spiral(-1.0)
     model.state_scale.fill_(torch.inf)
-    with pytest.raises(ValueError, match="after its closed form"):
+    with pytest.raises(ValueError, match="after the closed-form fit"):
         GUARD.diverges(model)
 
 

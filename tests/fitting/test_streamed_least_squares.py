@@ -78,7 +78,7 @@ def test_singular_values_are_those_of_all_rows(rows):
     assert (vectors[vectors.abs().argmax(0), torch.arange(7)] > 0).all()
 
 
-def test_rows_that_wait_are_factorized_once_there_are_enough_or_once_they_are_asked_for():
+def test_rows_are_factorized_when_there_are_enough_or_on_request():
     rng, regression = np.random.default_rng(0), StreamedRegression()
     batches = [torch.from_numpy(rng.normal(size=(700, 3))) for _ in range(7)]
     for number, batch in enumerate(batches):
@@ -112,7 +112,7 @@ def test_impossible_regressions_are_refused():
     with pytest.raises(ValueError, match="no rows were accumulated"):
         StreamedRegression().solve()
     regression = streamed(torch.randn(5, 2).double(), torch.randn(5, 1).double(), 1)
-    with pytest.raises(ValueError, match="at least 2 folds; there is 1"):
+    with pytest.raises(ValueError, match="at least 2 folds, but there is 1"):
         regression.solve((0.0, 1.0))
-    with pytest.raises(ValueError, match="earlier ones had"):
+    with pytest.raises(ValueError, match="earlier batches had"):
         regression.accumulate(torch.randn(5, 3).double(), torch.randn(5, 1).double())

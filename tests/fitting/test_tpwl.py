@@ -167,7 +167,7 @@ def test_the_modes_are_orthonormal_and_as_many_as_the_variance_asks_for():
         np.testing.assert_allclose(basis.T @ basis, np.eye(size), atol=1e-13)
         np.testing.assert_allclose(basis @ (basis.T @ right[:, :size]), right[:, :size], atol=1e-12)
         np.testing.assert_allclose(captured[:3], np.cumsum([100, 9, 1]) / 110.01, rtol=1e-12)
-    with pytest.raises(ValueError, match="5 modes are asked for, but the snapshots span 4 directions"):
+    with pytest.raises(ValueError, match="modes is 5, but the snapshots span only 4 directions"):
         proper_orthogonal_modes(*decomposition, 5)
 
 
@@ -220,7 +220,7 @@ def test_data_may_show_fewer_outputs_than_the_plant_has_in_another_order(plant, 
         np.testing.assert_array_equal(found[table], whole[table][columns])
 
 
-def test_a_robot_with_parameters_is_replayed_once_for_all_settings_of_the_fit_and_anew_for_others(dataset, monkeypatch):
+def test_a_robot_with_parameters_is_replayed_once_for_all_settings_of_the_fit(dataset, monkeypatch):
     driven = []
     monkeypatch.setattr(FiniteElementRobot, "reset", lambda robot: driven.append(robot))
     monkeypatch.setattr(replay, "_latest", {})
@@ -261,13 +261,13 @@ def test_the_checkpoint_holds_the_sizes_that_the_fit_found(dataset, trained):
     torch.testing.assert_close(again.model.step(z, u), training.model.step(z, u), rtol=0, atol=0)
 
 
-def test_data_of_another_robot_are_remarked(plant, dataset, tmp_path):
+def test_data_of_another_robot_give_a_remark(plant, dataset, tmp_path):
     larger = [Trajectory(run.time, 1.2 * run.observation, run.input, run.kind, run.split, run.name) for run in dataset]
     other = TrajectoryDataset(larger, dataset.rest, dataset.output_names, dataset.input_names)
     fits = {"linearization": partial(TPWLFit, plant=plant, modes=4, points=5, **QUIET)}
     training = train(other, model=partial(TPWL, delays=2), module=MODULE, trainer=TRAINER, directory=tmp_path,
                      fits=fits)
-    assert "moves otherwise: by 16.7 % of the outputs" in training.report["linearization"]["warnings"][-1]
+    assert "outputs of the plant differ by 16.7 %" in training.report["linearization"]["warnings"][-1]
 
 
 def test_a_plant_that_is_not_that_of_the_data_is_refused(plant):
@@ -276,33 +276,33 @@ def test_a_plant_that_is_not_that_of_the_data_is_refused(plant):
     model = SimpleNamespace(base_timestep=0.01)
     check_plant(plant, card | {"input_names": ["u1", "u2"]}, model)
     for given, changed, step, message in (
-            (None, {}, 0.01, "name the one that the data are of, as plant=trunk"),
-            (SlowManifold(), {}, 0.01, "is a SlowManifold; TPWL linearizes a finite-element robot"),
-            (plant, {"output_names": ["tip_x", "elbow_x"]}, 0.01, r"have the outputs \['elbow_x'\], the plant"),
-            (plant, {"input_names": ["a"]}, 0.01, r"data have the inputs \['a'\] in N, the plant .* in N"),
-            (plant, {"input_unit": "1"}, 0.01, "data have the inputs .* in 1, the plant .* in N"),
-            (plant, {}, 0.02, "base timestep is 0.02 s, the plant's timestep 0.01 s"),
-            (plant, {"input_range": [[0.0, 0.0], [1.0, 4.2]]}, 0.01, "reach 4.2 N, those of the plant end at 1 N")):
+            (None, {}, 0.01, "name the plant of the data, for example plant=trunk"),
+            (SlowManifold(), {}, 0.01, "is a SlowManifold; TPWL needs a finite-element robot"),
+            (plant, {"output_names": ["tip_x", "elbow_x"]}, 0.01, r"have the outputs \['elbow_x'\], but the plant"),
+            (plant, {"input_names": ["a"]}, 0.01, r"data have the inputs \['a'\] in N, but the plant .* in N"),
+            (plant, {"input_unit": "1"}, 0.01, "data have the inputs .* in 1, but the plant .* in N"),
+            (plant, {}, 0.02, "base timestep is 0.02 s, but the plant's timestep is 0.01 s"),
+            (plant, {"input_range": [[0.0, 0.0], [1.0, 4.2]]}, 0.01, "reach 4.2 N, but the bound of the plant is 1 N")):
         with pytest.raises(ValueError, match=message):
             check_plant(given, card | changed, SimpleNamespace(base_timestep=step))
 
 
 def test_data_without_controlled_runs_or_a_plant_are_refused_through_training(plant, dataset, tmp_path):
     options = {"model": partial(TPWL, delays=2), "module": MODULE, "trainer": TRAINER, "directory": tmp_path}
-    with pytest.raises(ValueError, match="name the one that the data are of"):
+    with pytest.raises(ValueError, match="name the plant of the data"):
         train(dataset, fits={"linearization": TPWLFit}, **options)
     decay = dataset.select("train", "decay")[0].read()
     varied = Trajectory(decay.time, decay.observation, decay.input + np.linspace(0, 1e-3, len(decay.time))[:, None],
                         "decay")
     decays = TrajectoryDataset([varied], dataset.rest, dataset.output_names, dataset.input_names)
-    with pytest.raises(ValueError, match="no controlled runs"):
+    with pytest.raises(ValueError, match="no controlled training runs"):
         train(decays, fits={"linearization": partial(TPWLFit, plant=plant)}, **options)
 
 
 @pytest.mark.parametrize(("options", "message"), [
     ({"modes": 0}, "modes is 0"), ({"modes": "gap"}, 'modes is \'gap\'; expected a number, or a rule'),
     ({"points": 0}, "0 points"), ({"points": 10, "snapshots": 5}, "10 points out of 5 snapshots"),
-    ({"blend": -1.0}, "blend -1.0"), ({"measurement_noise": 0.0}, "measurement_noise \\(0.0 m\\) positive")])
+    ({"blend": -1.0}, "blend -1.0"), ({"measurement_noise": 0.0}, "measurement_noise 0.0 m; expected no negative")])
 def test_impossible_options_are_refused_with_the_numbers(options, message):
     with pytest.raises(ValueError, match=message):
         PlantLinearization(None, **options)

@@ -1,4 +1,4 @@
-"""Training through Lightning: what it finds, resumes, writes and refuses."""
+"""Training with Lightning: its results, resuming, files and refusals."""
 
 import subprocess
 import sys
@@ -124,9 +124,9 @@ class Owned:
     {"model": {"class": "ssmr_torch.models.ssmr.Absent", "arguments": {}}, "state_dict": {}, "card": {}},
     {"model": {"class": "ssmr_torch.models.ssmr.SSMR", "arguments": {"state_dim": 1, "input_dim": 1, "output_dim": 1}},
      "state_dict": {}, "card": {}}, Owned()], ids=lambda content: type(content).__name__)
-def test_checkpoints_of_something_else_are_refused(tmp_path, content):
+def test_checkpoints_of_another_kind_are_refused(tmp_path, content):
     torch.save(content, tmp_path / "other.ckpt")
-    with pytest.raises(ValueError, match="other.ckpt (holds no model of this package|is not a checkpoint)"):
+    with pytest.raises(ValueError, match="other.ckpt (holds no model of this package|cannot be read as a checkpoint)"):
         load_model(tmp_path / "other.ckpt")
 
 
@@ -135,7 +135,7 @@ def test_files_that_are_no_checkpoints_are_refused(tmp_path, whole):
         load_model(tmp_path / "absent.ckpt")
     for content in (b"", b"hello", whole.checkpoint.read_bytes()[:-300]):
         (tmp_path / "bad.ckpt").write_bytes(content)
-        with pytest.raises(ValueError, match="bad.ckpt is not a checkpoint of plain values"):
+        with pytest.raises(ValueError, match="bad.ckpt cannot be read as a checkpoint of plain values"):
             load_model(tmp_path / "bad.ckpt")
 
 
@@ -172,13 +172,13 @@ def test_a_fit_that_was_interrupted_in_a_stage_goes_on_from_the_stage_before(dat
     assert resumed.scores == pytest.approx(whole.scores, rel=1e-9)
 
 
-def test_a_finished_fit_that_is_resumed_stays_what_it_is(dataset, whole):
+def test_a_finished_fit_does_not_change_when_it_is_resumed(dataset, whole):
     again = fitted(dataset, whole.checkpoint.parent, resume=True)
     assert_same_model(again.model, whole.model)
     assert again.report == whole.report
 
 
-def test_a_fit_without_validation_and_test_runs_is_kept_all_the_same(known, dataset, tmp_path):
+def test_a_fit_without_validation_and_test_runs_is_kept(known, dataset, tmp_path):
     runs = [run for run in dataset if run.split == "train"]
     bare = TrajectoryDataset(runs, dataset.rest, dataset.output_names, dataset.input_names)
     result = fitted(bare, tmp_path, module=partial(MODULE, validation_share=0))
@@ -254,9 +254,9 @@ def test_a_refinement_follows_the_closed_form_and_keeps_its_best_epoch(dataset, 
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"epochs": 0}, "epochs 0"), ({"learning_rate": 0.0}, "learning_rate 0.0"),
+    ({"epochs": 0}, "epochs is 0"), ({"learning_rate": 0.0}, "learning_rate is 0.0"),
     ({"frozen": ["charts"]}, r"frozen names \['charts'\], but the model's parameters are \['chart', ")])
-def test_options_of_a_gradient_fit_that_mean_nothing_are_refused(options, message):
+def test_invalid_options_of_a_gradient_fit_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         GradientFit(SSMR(2, 2, 4, 0), **options)
 

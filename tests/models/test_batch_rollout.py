@@ -1,4 +1,4 @@
-"""Many rollouts at once: known answers, and what is refused."""
+"""Claims about rollouts from many starts at once: known answers, and refusals."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def test_a_shift_register_gives_the_inputs_of_before():
         np.testing.assert_array_equal(states[:, k + 1:, k], inputs[:, :20 - k, 0])
 
 
-def test_a_map_that_doubles_diverges_after_the_steps_that_its_start_leaves_it_and_is_frozen_there():
+def test_a_map_that_doubles_diverges_at_the_expected_step_and_keeps_its_last_state():
     model = polynomial([[2.0]], [(0,)], n=1)  # the bound is 10
     start = np.array([[6.0], [0.7], [1e-3], [-4.0]])
     inputs = np.zeros((4, 8, 1))
@@ -58,7 +58,7 @@ def test_a_map_that_doubles_diverges_after_the_steps_that_its_start_leaves_it_an
     np.testing.assert_array_equal(batch_of(model).diverged(start, inputs, bound=0.2), [True, True, True, True])
 
 
-def test_overflow_and_what_is_not_a_number_are_divergence():
+def test_overflow_and_nan_count_as_divergence():
     model = polynomial([[1.0, 1.0]], [(0, 0, 0), (1,)], n=1, scale=1e150)
     inputs = np.zeros((2, 9, 1))
     inputs[1, 3] = np.nan
@@ -67,7 +67,7 @@ def test_overflow_and_what_is_not_a_number_are_divergence():
     assert np.isfinite(found.states).all()
 
 
-def test_no_starts_and_no_steps_are_none():
+def test_no_starts_or_no_steps_give_empty_results():
     batch = batch_of(logistic(0.1))
     assert batch.outputs(np.zeros((0, 1)), np.zeros((0, 5, 1))).shape == (0, 5, 1)
     assert batch.rollout(np.ones((2, 1)), np.zeros((2, 0, 1))).states.shape == (2, 1, 1)
@@ -76,9 +76,9 @@ def test_no_starts_and_no_steps_are_none():
 @pytest.mark.parametrize("kind", [BatchRollout, batch_of])
 @pytest.mark.parametrize(("z", "inputs", "lengths", "message"), [
     ((3, 2), (3, 5, 1), None, r"\(3, 2\) and inputs of shape \(3, 5, 1\); expected \(N, 1\)"),
-    ((3, 1), (2, 5, 1), None, "of as many starts"), ((1,), (5, 1), None, "states of shape"),
-    ((3, 1), (3, 5, 2), None, r"\(N, H, 1\)"), ((3, 1), (3, 5, 1), [5, 6, 1], "from 1 to 6; expected 3"),
-    ((3, 1), (3, 5, 1), [5, -1, 1], "from -1 to 5"), ((3, 1), (3, 5, 1), [5, 5], r"lengths of shape \(2,\)")])
+    ((3, 1), (2, 5, 1), None, "the same number of starts"), ((1,), (5, 1), None, "states of shape"),
+    ((3, 1), (3, 5, 2), None, r"\(N, H, 1\)"), ((3, 1), (3, 5, 1), [5, 6, 1], "between 1 and 6; expected one"),
+    ((3, 1), (3, 5, 1), [5, -1, 1], "between -1 and 5"), ((3, 1), (3, 5, 1), [5, 5], r"lengths of shape \(2,\)")])
 def test_arrays_of_other_shapes_are_refused(kind, z, inputs, lengths, message):
     with pytest.raises(ValueError, match=message):
         kind(logistic(0.1)).rollout(np.zeros(z), np.zeros(inputs), lengths=lengths and np.array(lengths))

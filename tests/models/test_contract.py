@@ -1,4 +1,4 @@
-"""What every reduced model promises. A new model joins by one line in MODELS."""
+"""Claims that every reduced model must fulfil. Add a new model by one line in MODELS."""
 
 import copy
 import io
@@ -320,7 +320,7 @@ def test_the_rates_are_those_of_the_step_linearized_at_rest(model):
     assert max(distances.min(0).max(), distances.min(1).max()) <= 1e-5  # what a Runge-Kutta step leaves
 
 
-def test_a_copy_and_an_unpickled_model_are_made_anew_with_arrays_that_nobody_can_change(model, batch):
+def test_a_copied_or_unpickled_model_has_read_only_arrays(model, batch):
     reduced = model.reduced.numpy()
     expected = reduced.linearize(*(array.numpy() for array in batch))
     for again in (copy.deepcopy(reduced), pickle.loads(pickle.dumps(reduced))):
@@ -366,7 +366,7 @@ def test_another_timestep_is_the_same_flow(model, batch):
 @pytest.mark.parametrize(("change", "message"), [
     ({"state_dim": 0}, "positive integer"), ({"delays": -1}, "0 or more"), ({"timestep": 0.0}, "must be positive"),
     ({"state_dim": 7}, "fewer than the 7 reduced coordinates; use at least 2 delays"),
-    ({"dynamics_degree": 0}, "expected 1 or more"), ({"control_degree": -1}, "0 \\(constant\\) or more"),
+    ({"dynamics_degree": 0}, "a whole number, 1 or more"), ({"control_degree": -1}, "0 \\(constant\\) or more"),
     ({"substeps": 0}, "1 or more")])
 def test_impossible_sizes_are_refused_with_the_numbers(change, message):
     with pytest.raises(ValueError, match=message):
@@ -376,7 +376,7 @@ def test_impossible_sizes_are_refused_with_the_numbers(change, message):
 @pytest.mark.parametrize(("scheme", "factors", "rate"), [
     ("runge_kutta", [(1,)], 0.0), ("euler", [(1, 1, 1)], 0.0), ("map", [(), (1,)], -np.inf), ("map", [], -np.inf),
     ("runge_kutta", [(0,)], 0.5), ("euler", [(0,), (0, 0)], np.log(1.005) / 0.01), ("map", [(0,)], np.log(0.5) / 0.01)])
-def test_a_model_of_one_state_and_any_terms_has_the_rate_of_what_is_linear_in_it(scheme, factors, rate):
+def test_a_model_with_one_state_has_the_rate_of_its_linear_term(scheme, factors, rate):
     structure = Structure(graded(1, 1, 1), (0,), graded(1, 1, 1), Monomials(2, factors), scheme)
     one = PolynomialModel(structure=structure, chart=np.ones((1, 1)), parametrization=np.ones((1, 1)),
                           dynamics=np.full((1, len(factors)), 0.5), state_scale=np.ones(1), input_dim=1, output_dim=1,
@@ -386,9 +386,9 @@ def test_a_model_of_one_state_and_any_terms_has_the_rate_of_what_is_linear_in_it
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    ({"parametrization": np.ones((2, 6))}, "2 rows; expected 3, of the newest sample, or 6, of the whole window"),
+    ({"parametrization": np.ones((2, 6))}, "2 rows; expected 3 for the newest sample, or 6 for the whole window"),
     ({"window_scale": np.ones(2)}, "2 entries; expected 6"), ({"substeps": 0}, "0; expected a whole number")])
-def test_tables_that_fit_no_window_are_refused_with_both_numbers(change, message):
+def test_tables_that_do_not_fit_the_window_are_refused_with_both_numbers(change, message):
     with pytest.raises(ValueError, match=message):
         replace(random_ssmr(delays=1).reduced.numpy(), **change)
 
@@ -398,13 +398,13 @@ def test_a_model_that_was_not_fitted_yet_prints_itself(model):
     assert "stability" in repr(model.reduced.numpy())
 
 
-def test_only_a_state_that_is_the_lifted_window_can_be_lifted_anew():
+def test_only_a_state_that_is_the_lifted_window_can_be_lifted_again():
     model = random_control_augmented().reduced.numpy()
     with pytest.raises(ValueError, match="relift with a chart of 6 rows"):
         replace(model, structure=model.structure._replace(scheme="map", relift=True))
 
 
-def test_a_chart_that_looks_at_inputs_says_so_where_they_are_missing():
+def test_a_chart_that_needs_inputs_refuses_a_window_without_them():
     model = random_control_augmented()
-    with pytest.raises(ValueError, match="inputs held within a window; give them"):
+    with pytest.raises(ValueError, match="inputs held within the window; give them"):
         model.encode(torch.zeros(model.delays + 1, model.output_dim, dtype=torch.float64))

@@ -29,7 +29,7 @@ def test_the_jacobian_of_the_monomials_equals_automatic_differentiation(degree):
     np.testing.assert_allclose(graded(4, 1, degree).jacobian(z.numpy()), expected.numpy(), rtol=1e-12)
 
 
-def test_any_set_of_monomials_in_any_order_is_served_and_its_factors_may_come_in_any_order():
+def test_monomials_and_their_factors_may_be_given_in_any_order():
     whole, z = graded(5, 0, 3), np.random.default_rng(0).normal(size=(4, 5))
     rows = np.random.default_rng(1).permutation(len(whole))[:20]
     part = Monomials(5, [whole.factors[row][::-1] for row in rows])
@@ -63,7 +63,7 @@ def test_a_form_and_its_jacobian_in_some_of_the_variables_are_those_of_the_polyn
         np.testing.assert_allclose(form.jacobian(closure, first, last), expected[..., first:last], rtol=1e-13)
 
 
-def test_what_an_export_on_a_device_copied_there_does_not_outlive_it():
+def test_index_copies_of_an_export_on_a_device_are_not_reused_after_it():
     class Features(torch.nn.Module):
         def forward(self, x):
             return Monomials(3, [(2, 0, 0), (1,), (2, 2, 2)])(x)
@@ -75,7 +75,7 @@ def test_what_an_export_on_a_device_copied_there_does_not_outlive_it():
 
 @pytest.mark.parametrize(("factors", "message"), [([(0, 3)], "factors from 0 to 2"), ([(-1,)], "factors from 0 to 2"),
                                                   ([(0, 1), (1, 0)], "is given twice")])
-def test_monomials_of_variables_that_are_not_there_or_given_twice_are_refused(factors, message):
+def test_monomials_of_unknown_variables_and_repeated_monomials_are_refused(factors, message):
     with pytest.raises(ValueError, match=message):
         Monomials(3, factors)
 

@@ -1,4 +1,4 @@
-"""Output coordinates: exact inverses and slopes, arcs of known curvature, and what plain values make of them again."""
+"""Output coordinates: exact inverses and derivatives, arcs of known curvature, and their JSON values."""
 
 import json
 import sys
@@ -151,21 +151,21 @@ def test_markers_of_a_mixture_within_a_mixture_multiply_their_weights():
     (lambda: ConstantCurvature(((0.0, np.nan),)), "expected 2 or 3 finite numbers"),
     (lambda: Mixture((PLANE, Identity(4)), (1.0,), 4), r"2 coordinates with the weights \(1.0,\)"),
     (lambda: Mixture((PLANE, Identity(4)), (0.5, 0.6), 4), "one positive weight for each, of sum 1"),
-    (lambda: small_model(PLANE), "output coordinates of 4 outputs for a model of 2"),
-    (lambda: coordinates_from_plain({"class": "ssmr_torch.models.monomials:Form"}), "is no class of output coord"),
-    (lambda: coordinates_from_plain({"class": "no_such_module:Mine"}), "no_such_module:Mine, is not found here"),
-    (lambda: coordinates_from_plain({"class": "ssmr_torch.models.monomials:Mine"}), "put its module on the path")])
-def test_what_are_no_coordinates_is_refused_with_what_is_wrong(make, message):
+    (lambda: small_model(PLANE), "output coordinates for 4 outputs, but the model has 2"),
+    (lambda: coordinates_from_plain({"class": "ssmr_torch.models.monomials:Form"}), "is not a class of output coord"),
+    (lambda: coordinates_from_plain({"class": "no_such_module:Mine"}), "no_such_module:Mine is not found here"),
+    (lambda: coordinates_from_plain({"class": "ssmr_torch.models.monomials:Mine"}), "put its module on the Python")])
+def test_invalid_output_coordinates_are_refused_with_the_reason(make, message):
     with pytest.raises(ValueError, match=message):
         make()
 
 
-def test_a_class_within_a_function_is_refused_for_nobody_finds_it_again():
+def test_a_class_inside_a_function_is_refused_because_it_cannot_be_loaded():
     @dataclass(frozen=True)
     class Hidden(Identity):
         pass
 
-    with pytest.raises(ValueError, match="a class within a function.*at the top of a module"):
+    with pytest.raises(ValueError, match="defined inside a function.*at the top level of a module"):
         Hidden(2).plain()
 
 
@@ -189,35 +189,35 @@ def saved(directory, model):
 ARC = ConstantCurvature(((0.0, 0.3),))
 
 
-def test_the_model_and_its_card_say_the_coordinates_in_words(tmp_path):
+def test_the_model_and_its_card_describe_the_coordinates(tmp_path):
     model = small_model(ARC)
-    assert "in output coordinates: angle and length of constant-curvature arcs, of 300 mm at rest" in repr(model)
+    assert "output coordinates: bending angle and length of constant-curvature arcs, 300 mm long at rest" in repr(model)
     loaded = artifact.load(saved(tmp_path / "arc", model))
-    assert "constant-curvature arcs, of 300 mm at rest" in loaded.card["geometry"]
+    assert "constant-curvature arcs, 300 mm long at rest" in loaded.card["geometry"]
     assert loaded.card["model"]["reach"] == 1.0 and loaded.card["model"]["coordinates"] == json.loads(
         json.dumps(ARC.plain()))
     assert loaded.model.coordinates == ARC
     words = small_model(Mixture((ARC, Identity(2)), (0.75, 0.25), 2)).geometry
-    assert "0.75 of angle and length of" in words and "0.25 of the outputs themselves" in words
+    assert "0.75 of bending angle and length of" in words and "0.25 of the outputs themselves" in words
     assert f"Stretched of {Stretched.__module__}" in small_model(Stretched(0.1)).geometry
     assert "coordinates" not in small_model(None).geometry
 
 
-def test_an_artifact_of_before_coordinates_and_reach_has_neither(tmp_path, rewrite):
+def test_an_old_artifact_has_no_coordinates_and_no_reach(tmp_path, rewrite):
     at = saved(tmp_path / "old", small_model(None))
     rewrite(at, noted=lambda noted: [noted["plain"].pop(name) for name in ("coordinates", "reach")])
     model = artifact.load(at).model
     assert model.coordinates is None and model.reach == 1.0
 
 
-def test_nonlinear_terms_saturate_from_the_reach_on():
+def test_nonlinear_terms_saturate_beyond_the_reach():
     once, twice = (small_model(None, reach=reach) for reach in (1.0, 2.0))
     u = np.zeros(1)
     np.testing.assert_array_equal(twice.edge, 2 * once.state_scale)
     within, beyond = np.array([0.09, -0.09]), np.array([0.19, -0.19])
     np.testing.assert_array_equal(once.step(within, u), twice.step(within, u))
     assert np.abs(once.step(beyond, u) - twice.step(beyond, u)).max() > 1e-5
-    with pytest.raises(ValueError, match="reach is 0.0; expected a positive, finite number"):
+    with pytest.raises(ValueError, match="reach is 0.0; expected a positive and finite number"):
         small_model(None, reach=0.0)
 
 
@@ -246,7 +246,7 @@ class Doubled(OutputCoordinates):
 '''
 
 
-def test_coordinates_of_a_user_are_found_again_by_their_module_and_refused_where_it_is_missing(tmp_path, monkeypatch):
+def test_coordinates_of_a_user_are_loaded_by_their_module_and_refused_without_it(tmp_path, monkeypatch):
     (tmp_path / "my_coordinates.py").write_text(OWN)
     with monkeypatch.context() as context:
         context.syspath_prepend(tmp_path)
@@ -256,7 +256,7 @@ def test_coordinates_of_a_user_are_found_again_by_their_module_and_refused_where
         assert artifact.load(at).model.coordinates == Doubled(2.0)
         assert "Doubled of my_coordinates" in artifact.load(at).card["geometry"]
     monkeypatch.delitem(sys.modules, "my_coordinates")
-    with pytest.raises(ValueError, match="my_coordinates:Doubled, is not found here .*install the package"):
+    with pytest.raises(ValueError, match="my_coordinates:Doubled is not found here .*install the package"):
         artifact.load(at)
 
 

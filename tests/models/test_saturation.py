@@ -1,4 +1,4 @@
-"""Nonlinear terms that stay what they are at the edge of the training range."""
+"""Saturation of nonlinear terms outside the training range."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def model(saturates):
     return made
 
 
-def test_within_the_edge_nothing_changes_and_far_beyond_it_is_half_as_far_again():
+def test_nothing_changes_within_the_edge_and_the_limit_is_1_5_times_the_edge():
     inside = np.array([[0.5, -2.0, 1e9], [-0.3, 0.0, -7.0]])
     within, slopes = saturated(inside, EDGE, np.tanh)
     np.testing.assert_array_equal(within, inside)
@@ -40,7 +40,7 @@ def test_the_slope_is_the_derivative_and_bends_continuously_at_the_edge():
     assert abs(saturated(edge + 1e-4, edge, np.tanh)[1] - 1.0) < 1e-6  # the second derivative starts from 0
 
 
-def test_both_kinds_of_array_are_served():
+def test_numpy_arrays_and_tensors_are_both_accepted():
     z = np.random.default_rng(0).standard_normal((20, 3))
     for ours, theirs in zip(saturated(z, EDGE, np.tanh),
                             saturated(torch.from_numpy(z), torch.from_numpy(EDGE), torch.tanh)):
@@ -48,7 +48,7 @@ def test_both_kinds_of_array_are_served():
 
 
 @pytest.mark.parametrize("saturates", [True, False])
-def test_a_polynomial_runs_away_under_strong_inputs_and_a_saturated_one_stays(saturates):
+def test_a_polynomial_diverges_under_large_inputs_and_a_saturated_one_stays_bounded(saturates):
     inputs = torch.full((1, 2000, 1), 2.0, dtype=torch.float64)
     rollout = model(saturates).rollout(torch.zeros(1, 2, dtype=torch.float64), inputs)
     assert bool(rollout.diverged_at <= 2000) is not saturates

@@ -1,4 +1,4 @@
-"""Claims about forms whose held input is folded in, of any structure."""
+"""Claims about the split of a form into a polynomial in z for a held input."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def by_input(parts: Split, powers: np.ndarray, inputs: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_a_form_with_its_input_folded_in_and_its_derivatives_are_those_of_the_form(seed):
+def test_a_split_form_and_its_derivatives_equal_the_form(seed):
     form, n = any_form(seed)
     x = np.random.default_rng(seed).normal(size=form.monomials.variables)
     parts, closure = split(form, n), form.monomials.multiplied_out(x)

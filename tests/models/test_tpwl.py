@@ -1,4 +1,4 @@
-"""Trajectory piecewise linear models: which point acts where, and the filter behind the chart."""
+"""Trajectory piecewise linear models: the weights of the points, and the filter in the chart."""
 
 import dataclasses
 
@@ -44,7 +44,7 @@ def textbook_filter(A, B, c, C, d, mean, covariance, process, measurement, windo
     return z
 
 
-def test_the_nearest_point_acts_whatever_the_velocities(model):
+def test_the_nearest_point_does_not_depend_on_velocities(model):
     z = torch.tensor([[1.4, 0.3, 50.0, -70.0], [1.6, -0.2, 0.0, 0.0]], dtype=torch.float64)
     u = torch.rand(2, 2, dtype=torch.float64)
     for row, nearest in enumerate((1, 2)):
@@ -69,7 +69,7 @@ def test_between_two_points_both_act_alike(model):
 
 @pytest.mark.parametrize("width", [0.05, 0.5, 50.0])
 @pytest.mark.parametrize("shape", [(), (3,), (2, 3)])
-def test_tables_that_pass_over_far_points_blend_as_the_model_that_sums_all(width, shape):
+def test_skipping_points_of_negligible_weight_does_not_change_the_blend(width, shape):
     generator = torch.Generator().manual_seed(7)
     found = TPWL(2, 3, 3, modes=2, points=70, width=width)
     with torch.no_grad():
@@ -97,7 +97,7 @@ def test_with_one_point_the_chart_is_the_kalman_filter_of_the_textbook(model):
 
 
 @pytest.mark.parametrize("width", [0.0, 0.7])
-def test_the_filter_is_the_same_in_numpy_on_windows_that_surprise_it(model, width):
+def test_the_filter_is_the_same_in_numpy_on_windows_far_from_its_prediction(model, width):
     model.width = width
     window, inputs = windows(model)
     np.testing.assert_allclose(model.reduced.numpy().encode(window.numpy(), inputs.numpy()),

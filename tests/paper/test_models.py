@@ -76,7 +76,7 @@ def test_tables_that_do_not_fit_together_are_refused_with_the_numbers(tmp_path, 
         read_ssmr_model(write(tmp_path / "model.mat", model, params))
 
 
-def test_files_of_something_else_are_refused(tmp_path):
+def test_files_of_another_kind_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match="no model file at .*absent.mat"):
         read_ssmr_model(tmp_path / "absent.mat")
     with pytest.raises(ValueError, match="expected the struct py_data.*failed at 'py_data'"):

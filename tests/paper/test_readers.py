@@ -53,7 +53,7 @@ def test_a_simulated_diamond_is_cut_at_its_known_seam(tmp_path):
 
 def test_a_simulated_diamond_with_another_seam_is_refused(tmp_path):
     glued_diamond(tmp_path, seam=3000)
-    with pytest.raises(ValueError, match=r"seams found before rows \[3000\], expected before rows \[3686\]"):
+    with pytest.raises(ValueError, match=r"seams were found before rows \[3000\], but expected before rows \[3686\]"):
         readers.diamond_simulated(tmp_path, static=False)
 
 

@@ -10,7 +10,7 @@ from ssmr_torch.plants.slow_manifold import SlowManifold
 @pytest.mark.parametrize(("settings", "message"), [
     ({"noise_std": -1e-3}, r"noise_std is -0.001 m; expected a finite number"),
     ({"noise_std": np.nan}, r"noise_std is nan m; expected"),
-    ({"sensor_delay": 0.015}, r"sensor_delay is 0.015 s and the plant's timestep 0.01 s, 1.5 times; expected a whole"),
+    ({"sensor_delay": 0.015}, r"sensor_delay is 0.015 s, which is 1.5 times the plant's timestep, 0.01 s; expected"),
     ({"sensor_delay": -0.01}, r"sensor_delay is -0.01 s; expected"),
     ({"drop_probability": 1.0}, r"drop_probability is 1.0; expected 0 or more and less than 1"),
     ({"dropped": "late"}, r"dropped is 'late'; expected one of"),

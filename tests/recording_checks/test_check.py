@@ -1,4 +1,4 @@
-"""The check finds what is wrong, says nothing of what is right, and names a remedy."""
+"""The check finds faults, gives no warning about good recordings, and names a remedy."""
 
 import json
 
@@ -23,25 +23,25 @@ def ramps(rng, seconds, step):
     return 2 / np.pi * np.arcsin(np.clip(waves(rng, seconds, step) / [2.0, 1.0], -1, 1)) * [2.0, 1.0]
 
 
-def test_clean_recordings_raise_no_alarm(robot):
+def test_good_recordings_give_no_warning(robot):
     report = ssmr.check(robot())
     assert {finding.subject for finding in report.findings} == SUBJECTS
-    assert report.counts() == {"good": 9, "look here": 0, "missing": 0, "cannot be told": 1}
-    assert report["friction"].severity == "cannot be told"
+    assert report.counts() == {"good": 9, "warning": 0, "missing": 0, "unknown": 1}
+    assert report["friction"].severity == "unknown"
 
 
 @pytest.mark.parametrize(("changes", "subject", "severity"), [
-    ({"decays": 0}, "decays", "missing"), ({"decays": 2}, "decays", "look here"),
-    ({"duration": 0.6}, "decays", "look here"), ({"stretch": 3.0}, "range", "look here"),
+    ({"decays": 0}, "decays", "missing"), ({"decays": 2}, "decays", "warning"),
+    ({"duration": 0.6}, "decays", "warning"), ({"stretch": 3.0}, "range", "warning"),
     ({"controlled": 0, "test": False}, "range", "missing"), ({"controlled": 0, "test": False}, "dither", "missing"),
-    ({"test": False}, "held-out runs", "missing"), ({"noise": 0.3}, "noise", "look here"),
-    ({"step": 0.04, "seconds": 60.0, "duration": 6.0}, "sampling", "look here"), ({"late": 5}, "delay", "look here"),
-    ({"late": -1}, "delay", "look here"), ({"drift": 10.0}, "drift", "look here"),
-    ({"shift": 0.5}, "neutral input", "look here"),
-    ({"inputs": waves, "loop": 4.0, "seconds": 60.0}, "friction", "look here"),
+    ({"test": False}, "held-out runs", "missing"), ({"noise": 0.3}, "noise", "warning"),
+    ({"step": 0.04, "seconds": 60.0, "duration": 6.0}, "sampling", "warning"), ({"late": 5}, "delay", "warning"),
+    ({"late": -1}, "delay", "warning"), ({"drift": 10.0}, "drift", "warning"),
+    ({"shift": 0.5}, "neutral input", "warning"),
+    ({"inputs": waves, "loop": 4.0, "seconds": 60.0}, "friction", "warning"),
     ({"inputs": waves, "seconds": 60.0}, "friction", "good"), ({"inputs": ramps, "seconds": 60.0}, "friction", "good"),
     ({"inputs": waves, "seconds": 60.0}, "dither", "missing")])
-def test_what_is_wrong_is_found_under_its_subject(robot, changes, subject, severity):
+def test_each_fault_is_found_under_its_subject(robot, changes, subject, severity):
     finding = ssmr.check(robot(**changes))[subject]
     assert finding.severity == severity, finding
     assert severity == "good" or finding.remedy.endswith(".")
@@ -58,7 +58,7 @@ def test_a_loop_is_as_wide_as_it_was_made(robot):
 
 def test_at_one_speed_a_loop_is_found_and_may_be_a_lag(robot):
     finding = ssmr.check(robot(inputs=ramps, loop=4.0, seconds=60.0))["friction"]
-    assert finding.severity == "look here" and "may be a lag" in finding.said
+    assert finding.severity == "warning" and "may be a lag" in finding.said
 
 
 def test_the_neutral_input_is_the_one_that_was_subtracted(robot):
@@ -67,7 +67,7 @@ def test_the_neutral_input_is_the_one_that_was_subtracted(robot):
     assert numbers["signed_inputs"] == 2
 
 
-def test_a_test_that_is_part_of_the_training_is_told_with_its_samples(robot):
+def test_a_test_run_that_is_part_of_a_training_run_is_reported_with_its_samples(robot):
     data = robot()
     run = data.select("train", "controlled")[0]
     part = type(run)(run.time[:1200], run.observation[300:], run.input[300:], "controlled", "test", "part")
@@ -79,7 +79,7 @@ def test_a_test_that_is_part_of_the_training_is_told_with_its_samples(robot):
 def test_the_report_prints_one_line_for_each_subject_and_is_plain_in_json(robot):
     report = ssmr.check(robot(late=5))
     lines = str(report).splitlines()
-    assert len(lines) == 1 + len(SUBJECTS) and "8 good, 1 look here, 0 missing, 1 cannot be told" in lines[0]
+    assert len(lines) == 1 + len(SUBJECTS) and "8 good, 1 warning, 0 missing, 1 unknown" in lines[0]
     assert "<table>" in report._repr_html_()
     assert json.loads(json.dumps(report.as_dict()))["delay"]["numbers"]["delay_s"] == pytest.approx(0.05, abs=0.011)
     with pytest.raises(KeyError, match="dither"):
@@ -93,8 +93,8 @@ def test_the_figure_has_a_panel_for_each_subject_even_where_there_is_nothing_to_
 
 
 def test_a_finding_that_is_not_good_names_a_remedy():
-    with pytest.raises(ValueError, match="names no remedy"):
-        Finding("noise", "look here", "much noise.")
+    with pytest.raises(ValueError, match="has no remedy"):
+        Finding("noise", "warning", "much noise.")
     with pytest.raises(ValueError, match="expected one of"):
         Finding("noise", "bad", "much noise.", "Less.")
 

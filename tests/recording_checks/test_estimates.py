@@ -1,4 +1,4 @@
-"""Each estimate recovers what was put in."""
+"""Each estimate recovers the known value in simulated recordings."""
 
 import numpy as np
 import pytest
@@ -61,7 +61,7 @@ def test_a_delay_is_the_same_at_another_rate(robot):
     assert command_delay(training(robot(step=0.02, late=5, seconds=30.0), "controlled")).samples == 5
 
 
-def test_inputs_that_hardly_change_tell_no_delay(robot):
+def test_inputs_that_hardly_change_give_no_delay(robot):
     still = robot(inputs=lambda rng, seconds, step: np.ones((round(seconds / step), 2)) * np.linspace(
         0, 1e-6, round(seconds / step))[:, None])
     assert command_delay(training(still, "controlled")).samples is None

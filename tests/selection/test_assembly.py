@@ -1,4 +1,4 @@
-"""From centred, scaled tables to a model in SI, and that a system of the family is found again."""
+"""Models in SI units from centred and scaled tables, and the recovery of a known slow-fast system."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def at_rows(samples, closed, model):
 
 
 @pytest.mark.parametrize("form", FORMS, ids=str)
-def test_any_tables_step_as_their_centred_regressors_say(samples, form):
+def test_a_model_in_si_units_steps_like_its_centred_regressors(samples, form):
     closed, rng = ClosedForm(samples, form), np.random.default_rng(1)
     chart, assembly, n = closed.charts[ALL], closed.assembly, len(closed.charts[ALL].V)
     z = closed.pasts[0] @ chart.V.T
@@ -69,8 +69,8 @@ def test_a_window_of_held_inputs_fills_an_actuators_memory_with_them():
     np.testing.assert_allclose(weights[0, -3:], 0.2 * 0.8 ** np.array([2, 1, 0]), rtol=1e-13)
 
 
-def test_a_memory_longer_than_what_is_at_hand_is_refused_with_both_numbers():
-    with pytest.raises(ValueError, match="a memory of 9 past inputs; 4 are at hand"):
+def test_a_memory_longer_than_the_past_inputs_is_refused_with_both_numbers():
+    with pytest.raises(ValueError, match="a memory of 9 past inputs; expected at most 4"):
         Specification(memory=("shift", 9)).memory_weights(4)
 
 
@@ -93,14 +93,14 @@ def test_a_system_of_the_family_is_found_to_rounding(systems, features, limit):
     assert found[features] < limit and (features == "linear" or found["linear"] > 1e-3)
 
 
-def test_a_fold_is_predicted_from_what_it_leaves(systems):
+def test_a_fold_is_predicted_by_a_fit_to_the_other_folds(systems):
     samples = systems.samples(systems.configuration_affine)
     closed = ClosedForm(samples, Specification(features="configuration_affine", memory=("shift", 1)))
     starts = samples.held_out(2)
     assert np.abs(rolled_out(closed.model(0.0, fold=2), starts) - starts.follows).max() < 1e-6 * np.abs(samples.y).max()
 
 
-def test_nonlinear_terms_stay_what_they_are_at_twice_the_range(systems):
+def test_nonlinear_terms_are_constant_beyond_twice_the_range(systems):
     """A quadratic flow map, which grows without bound, from states and inputs a hundred times as large."""
     samples = systems.samples(systems.configuration_affine)
     model = ClosedForm(samples, Specification(features="full_quadratic")).model(1e-6)

@@ -1,4 +1,4 @@
-"""Baselines in closed form on systems of their own kind, which they must find again."""
+"""Closed-form fits of baselines, on systems of the same kind that they must recover."""
 
 import numpy as np
 import pytest
@@ -55,7 +55,7 @@ def test_a_koopman_form_finds_a_system_of_its_own_kind(kind):
     np.testing.assert_allclose(seen, y[11:61], atol=1e-6 * np.abs(y).max())
 
 
-def test_what_is_known_of_the_next_window_is_set_and_not_regressed():
+def test_known_entries_of_the_next_window_are_set_without_regression():
     samples = samples_of(SYSTEMS["dmd"])
     model = KoopmanForm(samples, Baseline("dmd", delays=2, input_delays=2)).model(1e-3)
     y, u = samples.controlled[0]
@@ -86,12 +86,12 @@ def test_every_kind_is_found_without_decays(kind):
 
 
 def test_a_kind_that_does_not_exist_is_refused_with_those_that_do():
-    with pytest.raises(ValueError, match="no baseline 'dnd'; there are dmd, edmd"):
+    with pytest.raises(ValueError, match="no baseline 'dnd'; the baselines are dmd, edmd"):
         choose_baseline(Trial(samples_of(SYSTEMS["dmd"])), "dnd")
 
 
 @pytest.mark.parametrize(("factor", "decays"), [(0.99, True), (1.01, False)])
-def test_the_constant_among_the_observables_is_no_mode_that_fails_to_decay(factor, decays):
+def test_the_constant_observable_does_not_count_as_a_mode_that_does_not_decay(factor, decays):
     structure = koopman_structure(1, 1, 0, input_delays=0, degree=1, constant=True, bilinear=False, relift=False)
     model = PolynomialModel(
         structure=structure, chart=np.zeros((0, 2)), parametrization=np.eye(1), state_scale=np.ones(2),
@@ -101,5 +101,5 @@ def test_the_constant_among_the_observables_is_no_mode_that_fails_to_decay(facto
 
 
 def test_a_form_with_more_regressors_than_any_data_determine_is_refused():
-    with pytest.raises(ValueError, match="regressors of a window of 21 samples, 20 past inputs.*; 700 at most"):
+    with pytest.raises(ValueError, match="regressors for a window of 21 samples, 20 past inputs.*; at most 700"):
         KoopmanForm(samples_of(SYSTEMS["edmd"]), Baseline("edmd", delays=20, input_delays=20))

@@ -1,4 +1,4 @@
-"""Slow coordinates: what of their step is known beforehand, and that a linear system's states are found."""
+"""Charts of slow coordinates: the known part of their step, and the recovery of a linear system's states."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def error(model, samples):
 
 
 @pytest.mark.parametrize("delays", [0, 1, 4])
-def test_all_of_a_delay_charts_step_but_the_increment_of_the_newest_sample_is_known(delays):
+def test_a_delay_chart_knows_its_step_except_the_increment_of_the_newest_sample(delays):
     rng, p, m = np.random.default_rng(0), 3, 2
     directions = np.linalg.qr(rng.normal(size=(p, p)))[0]
     chart, y, u = delay_chart(delays, directions, m), rng.normal(size=(delays + 2, p)), rng.normal(size=delays * m)
@@ -93,9 +93,9 @@ def test_the_tangent_space_of_decays_of_two_modes_holds_their_windows(of_four_st
 
 def test_a_tangent_space_without_decays_and_more_states_than_values_are_refused(systems, of_four_states):
     samples = systems.samples(decays=0)
-    with pytest.raises(ValueError, match="no decays, whose tangent space is asked for"):
+    with pytest.raises(ValueError, match="the chart tangent_space needs decays"):
         ClosedForm(samples, Specification(chart="tangent_space", states=4, delays=8, decays=False)).model(0.0)
-    with pytest.raises(ValueError, match="9 states of windows with 8 values"):
+    with pytest.raises(ValueError, match="9 states, but a window has only 8 values"):
         ClosedForm(samples, Specification(chart="predictive", states=9, delays=3)).model(0.0)
-    with pytest.raises(ValueError, match="8 states of 6 values that a chart must tell"):
+    with pytest.raises(ValueError, match="8 states, but the chart has only 6 values to predict"):
         ClosedForm(samples, Specification(chart="predictive", states=8, delays=9, future=2)).model(0.0)

@@ -1,4 +1,4 @@
-"""Output coordinates that the data suggest, and those of a user's own."""
+"""Output coordinates that suit the data, and output coordinates of a user."""
 
 from dataclasses import dataclass
 
@@ -102,15 +102,15 @@ class Shifted(OutputCoordinates):
         return xi - 0.01
 
 
-def test_coordinates_of_ones_own_are_taken_by_their_name():
+def test_coordinates_of_a_user_are_loaded_by_their_name():
     assert _coordinates(tip_of_an_arc(), [f"{__name__}:Cubed"]) == {f"{__name__}:Cubed": Cubed()}
 
 
 @pytest.mark.parametrize(("name", "says"), [
-    (f"{__name__}:Squared", r"not invertible on the recordings: .* misses y by up to \d+ mm.*correct inverse"),
-    (f"{__name__}:Shifted", "does not map rest to rest, χ.0. ≠ 0; subtract χ.0."),
-    (f"{__name__}:tip_of_an_arc", "is no class of output coordinates; derive it from"),
-    ("polar", "output coordinates 'polar': the data suggest .'identity', 'constant_curvature'.; give one")])
+    (f"{__name__}:Squared", r"not invertible on the recordings: .* differs from y by up to \d+ mm.*correct the"),
+    (f"{__name__}:Shifted", "must map rest to zero, but χ.0. ≠ 0; subtract χ.0."),
+    (f"{__name__}:tip_of_an_arc", "is not a class of output coordinates; derive it from"),
+    ("polar", "output coordinates 'polar' are not possible with these data; give one of .'identity', 'constant_curv")])
 def test_coordinates_that_cannot_be_used_are_refused_with_the_remedy(name, says):
     with pytest.raises(ValueError, match=says):
         _coordinates(tip_of_an_arc(), [name])

@@ -1,4 +1,4 @@
-"""The monomials of a flow map are those that its name promises."""
+"""Each kind of flow map has the monomials that its name says."""
 
 from math import comb
 
@@ -34,7 +34,7 @@ def test_the_velocity_enters_linearly(kind):
     assert max((sum(3 <= factor < 9 for factor in row) for row in beyond), default=0) <= 1
 
 
-def test_products_are_with_the_actuators_state_where_there_is_one():
+def test_products_use_the_state_of_the_actuator_if_there_is_one():
     for pole, acting, idle in ((True, range(9, 13), range(13, 15)), (False, range(13, 15), range(9, 13))):
         _, beyond = flow_monomials("configuration_affine", **SIZES, pole=pole)
         seen = {factor for row in beyond for factor in row}
@@ -42,5 +42,5 @@ def test_products_are_with_the_actuators_state_where_there_is_one():
 
 
 def test_more_monomials_than_can_be_determined_are_refused_with_both_numbers():
-    with pytest.raises(ValueError, match=rf"861 monomials of a full_quadratic flow map; {LARGEST} at most"):
+    with pytest.raises(ValueError, match=rf"861 monomials in a full_quadratic flow map; at most {LARGEST}"):
         flow_monomials("full_quadratic", slow=38, leading=3, follows=3, memory=0, inputs=2, pole=False)

@@ -1,4 +1,4 @@
-"""The fast fibre of known eigenvalues, noise of known size, and a chart for windows that have more of it."""
+"""A fast state with known eigenvalues, noise of known size, and a chart for noisier windows."""
 
 from dataclasses import replace
 
@@ -67,13 +67,13 @@ def test_a_fast_fibre_is_found_and_lowers_the_error():
     assert after < 0.75 * before
 
 
-def test_what_hardly_decays_is_moved_within_the_largest_modulus():
+def test_eigenvalues_above_the_largest_modulus_are_moved_onto_it():
     samples = kicked(np.array([0.985, 0.5]))
     model = with_fibre(slow_alone(samples), samples, 12)
     assert np.abs(np.linalg.eigvals(model.linear_part[4:, 4:])).max() < SLOWEST + 1e-9
 
 
-def test_nothing_drives_a_fibre(systems):
+def test_the_fast_state_has_no_input(systems):
     samples = systems.samples(systems.configuration_affine)
     slow = ClosedForm(samples, Specification(features="linear")).model(1e-4)
     model, n = with_fibre(slow, samples, 4), slow.state_dim

@@ -40,7 +40,7 @@ def test_moments_without_a_fold_are_those_of_the_rows_left(rows):
 
 
 def test_a_fold_that_holds_out_all_rows_is_refused_with_both_numbers(rows):
-    with pytest.raises(ValueError, match="200 rows, of which a fold holds out 200; record longer or more runs"):
+    with pytest.raises(ValueError, match="200 rows, of which a fold holds out 200, so that none remain; record longer"):
         list(by_fold(*rows, np.ones((1, 200), bool)))
 
 

@@ -28,7 +28,7 @@ def test_sensitivities_are_those_by_central_differences(systems):
         assert (gradient * way).sum() == pytest.approx(-0.25 * (ahead - behind), rel=2e-3)
 
 
-def test_of_one_step_ahead_the_least_squares_solution_is_reached(systems):
+def test_one_step_ahead_the_refinement_reaches_the_least_squares_solution(systems):
     """Rollouts of one step are linear in the table."""
     problem = problem_of(systems, 1, features="bilinear", ridge=100.0)
     model, starts = problem.model, problem.starts
@@ -48,6 +48,6 @@ def test_refinement_lowers_the_error_of_rollouts_and_a_strong_pull_keeps_the_clo
     assert free < 0.1 * before and held == pytest.approx(before, rel=1e-2)
 
 
-def test_what_is_already_exact_is_left_as_it_is(systems):
+def test_an_exact_model_is_not_changed(systems):
     problem = problem_of(systems, 10, ridge=0.0)
     assert np.abs(refine(problem, 1e-4).dynamics - problem.model.dynamics).max() < 1e-6

@@ -1,4 +1,4 @@
-"""What a fold holds out is never fitted to, and what is kept is spread over the runs."""
+"""A fit never uses the samples that its fold holds out, and its rows are spread evenly over the runs."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def numbered(lengths=(700, 450, 120), decays=(160, 90), timestep=0.02, **more):
 
 @pytest.mark.parametrize("timestep", [0.002, 0.02, 0.05, 0.2])
 @pytest.mark.parametrize("ahead", [0, 1, 12])
-def test_no_row_of_a_regression_sees_what_its_fold_holds_out(timestep, ahead):
+def test_no_row_of_a_regression_uses_samples_that_its_fold_holds_out(timestep, ahead):
     samples = numbered((4000, 2000, 300), timestep=timestep)
     rows = samples.rows(ahead, decays=True)
     touching = samples.touching(rows, ahead)
@@ -38,7 +38,7 @@ def test_a_rollout_to_fit_does_not_touch_the_fold():
         assert len(starts) and not (samples.fold[seen] == fold).any()
 
 
-def test_a_window_and_what_follows_belong_to_one_run():
+def test_a_window_and_the_samples_after_it_belong_to_one_run():
     samples = numbered()
     for starts in (*(samples.held_out(fold) for fold in range(FOLDS)), samples.training(FOLDS), samples.hurried()):
         first = starts.window[:, 0, 0].astype(int)
@@ -49,7 +49,7 @@ def test_a_window_and_what_follows_belong_to_one_run():
         np.testing.assert_array_equal(starts.past, samples.u[expected[:, :-1]])
 
 
-def test_hurried_inputs_follow_each_other_twice_as_fast_and_are_a_quarter_stronger():
+def test_stressed_inputs_are_twice_as_fast_and_1_25_times_larger():
     samples = numbered()
     starts, horizon = samples.hurried(), samples.horizons[-1]
     begin = starts.window[:, -1, 0].astype(int)
@@ -63,7 +63,7 @@ def test_horizons_are_shorter_where_no_run_is_long_enough_for_a_second():
     assert all(len(short.held_out(fold)) for fold in range(3))
 
 
-def test_no_more_rows_are_taken_than_asked_for_evenly():
+def test_at_most_the_given_number_of_rows_is_taken_evenly():
     samples = numbered((4000, 2000, 300), most=500)
     rows = samples.rows(1, decays=False)
     assert len(rows) == 500 and np.ptp(np.diff(rows[rows < 3900])) <= 1

@@ -1,4 +1,4 @@
-"""The stages of a search: what they try, and that the right memory is found of systems whose memory is known."""
+"""The stages of a search: the forms that they try, and the recovery of a known memory."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def test_inputs_that_act_at_once_need_no_actuator(small, systems):
     assert trial.best(1)[0].memory[0] == "shift"
 
 
-def test_after_the_time_is_up_nothing_is_tried_and_what_is_left_out_is_counted(systems):
+def test_after_its_time_the_search_tries_nothing_and_counts_what_is_left(systems):
     trial = Trial(systems.samples(decays=0))
     search(trial, decays=False, minutes=0.0)
     assert not trial.outcomes and trial.left_out > 50 and not trial.best()

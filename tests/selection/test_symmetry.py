@@ -1,4 +1,4 @@
-"""Robots of known symmetry: an arm of four cables about z, nonlinear, and linear responses written down."""
+"""Robots of known symmetry: a nonlinear arm with four cables about z, and given linear responses."""
 
 import numpy as np
 import pytest
@@ -58,7 +58,7 @@ def test_a_quarter_turn_of_four_equal_cables_is_found_and_lowers_the_error_on_wh
     assert symmetric.kept() is symmetric
 
 
-def test_of_a_robot_with_one_cable_a_fifth_stronger_only_the_reflection_that_keeps_it_is_found():
+def test_with_one_cable_stronger_by_a_fifth_only_the_reflection_that_keeps_it_is_found():
     symmetric = with_symmetry(trial_on((1.2, 1.0, 1.0, 1.0), runs=4), "find", CABLES)
     assert [turn.moved().tolist() for turn in symmetric.turns] == [[0, 3, 2, 1]]
     np.testing.assert_allclose(symmetric.turns[0].isometry, mirror((0, 1, 0)), atol=0.05)
@@ -69,7 +69,7 @@ def test_four_unequal_cables_have_no_symmetry():
     assert not symmetric.turns and symmetric.found.startswith("No symmetry")
 
 
-def test_turned_runs_lower_the_error_on_new_runs_where_there_are_few():
+def test_turned_runs_lower_the_error_on_new_runs_if_there_are_few_runs():
     make, fresh = trial_on(runs=1), Samples([], [arm(seed) for seed in (50, 51)], TIMESTEP,
                                             coordinates={"identity": None}, targets=range(3))
     errors = []
@@ -107,7 +107,7 @@ def test_a_linear_response_suggests_the_permutation_that_goes_with_every_rotatio
         np.testing.assert_array_equal(rotations[0].moved(), np.roll(np.arange(count), -1))
 
 
-def test_the_axis_of_a_robot_that_hangs_askew_in_the_frame_of_the_markers_is_inferred():
+def test_the_axis_of_a_robot_that_is_tilted_in_the_marker_frame_is_inferred():
     tilt = rotation(20, (0.6, 0.8, 0.0))
     G = tilt @ np.array([[[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0], [0.3] * 4]])
     askew = Turn(tilt @ quarter().outputs @ tilt.T, quarter().inputs)
@@ -115,7 +115,7 @@ def test_the_axis_of_a_robot_that_hangs_askew_in_the_frame_of_the_markers_is_inf
     assert not any(turn.same(askew) for turn in plain) and any(turn.same(askew) for turn in inferred)
 
 
-def test_markers_change_places_where_the_robot_is_mirrored():
+def test_a_reflection_of_the_robot_permutes_its_markers():
     left, right = [[1.0, 0.2], [0.5, 0.7]], [[-0.2, -1.0], [0.7, 0.5]]
     turns = suggested(np.array([[*left, *right]]), np.zeros(2, bool), np.ones(2))
     expected = Turn(on_markers(mirror((1, 0)), (1, 0)), np.eye(2)[::-1])
@@ -129,7 +129,7 @@ def test_inputs_of_both_signs_are_renumbered_with_signs():
     assert turn.renumbering(["fx", "fy"]) == "fx → fy → −fx"
 
 
-def test_inputs_of_unlike_ranges_do_not_change_places():
+def test_inputs_of_different_ranges_are_not_permuted():
     G = np.array([[[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0], [0.3] * 4]])
     turns = suggested(G, np.zeros(4, bool), np.array([2.0, 1.0, 1.0, 1.0]))
     assert turns and all(turn.moved()[0] == 0 for turn in turns)
@@ -145,20 +145,20 @@ def test_a_stated_symmetry_is_used_and_a_doubtful_one_is_named():
     symmetric = with_symmetry(trial_on(), QUARTER, CABLES)
     assert len(symmetric.turns) == 3 and symmetric.found.startswith("As stated: A turn by 90°")
     wrong = with_symmetry(trial_on(), {**QUARTER, "angle": -90}, CABLES)
-    assert "look whether" in wrong.found
+    assert "check the axis" in wrong.found
 
 
-def test_copies_are_left_out_where_the_best_model_does_without():
+def test_turned_copies_are_not_used_if_the_best_model_is_better_without_them():
     symmetric = with_symmetry(trial_on((1.2, 1.0, 1.0, 1.0)), "none")
     make = trial_on((1.2, 1.0, 1.0, 1.0))
     forced = Symmetric(make(closed([quarter()])), closed([quarter()]), "A turn.", symmetric.trial)
     forced.trial(FORMS[0])
     kept = forced.kept()
-    assert kept.trial is symmetric.trial and not kept.turns and "left out" in kept.found
+    assert kept.trial is symmetric.trial and not kept.turns and "not used" in kept.found
 
 
 @pytest.mark.parametrize("change, says", [
-    ({"inputs": ["cable2", "cable3", "cable4", "cable9"]}, "cable9.*no inputs"),
+    ({"inputs": ["cable2", "cable3", "cable4", "cable9"]}, "cable9.*the inputs are"),
     ({"inputs": ["cable2", "cable3", "cable4", "cable4"]}, "each of the 4 inputs"),
     ({"inputs": ["cable2", "cable1", "cable4", "cable3"]}, "after 4 turns by 90°"),
     ({"angle": 80}, "divide 360"),
@@ -171,7 +171,7 @@ def test_a_stated_symmetry_that_makes_no_sense_is_refused(change, says):
 
 
 def test_outputs_that_are_no_markers_cannot_be_turned():
-    with pytest.raises(ValueError, match="5 outputs are no markers"):
+    with pytest.raises(ValueError, match="5 outputs are not markers"):
         stated(QUARTER, CABLES, 5)
 
 

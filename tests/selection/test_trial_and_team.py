@@ -1,4 +1,4 @@
-"""How predictions are judged, and which are averaged."""
+"""Scores of predictions, and the choice of models that are averaged."""
 
 from dataclasses import replace
 
@@ -53,7 +53,7 @@ def test_what_cannot_be_fitted_scores_infinite(trial):
     assert trial(each) == np.inf and each not in trial.best()
 
 
-def test_for_control_only_the_horizons_that_it_sees_are_judged(systems):
+def test_for_control_only_the_horizons_of_control_are_scored(systems):
     samples = systems.samples()
     all_of_them, long_ones = Trial(samples), Trial(samples, horizons=[1, 2])
     predictions = missing_by(all_of_them, 0.0)
@@ -64,7 +64,7 @@ def test_for_control_only_the_horizons_that_it_sees_are_judged(systems):
     assert all_of_them.judged(predictions).e[0] > all_of_them.judged(late).e[0]
 
 
-def test_specifications_that_hold_the_system_score_best_and_predict_what_is_held_out(trial):
+def test_specifications_that_contain_the_system_score_best_and_predict_held_out_parts(trial):
     right = Specification(memory=("shift", 1), features="configuration_affine", ridge=1e-6)
     forms = [right, replace(right, features="linear"), replace(right, features="bilinear"), replace(right, delays=0)]
     for each in forms:
@@ -79,13 +79,13 @@ def members(trial, errors):
     return sorted(found, key=lambda each: found[each].score)
 
 
-def test_the_mean_of_two_equal_members_is_one_and_no_team_is_made_of_them(trial):
+def test_two_equal_members_do_not_make_a_team(trial):
     pool = members(trial, [missing_by(trial, 0.03), missing_by(trial, 0.03)])
     assert averaged(trial, pool).score == pytest.approx(trial.outcomes[pool[0]].score, abs=1e-6)
     assert choose_team(trial, pool) == pool[:1]
 
 
-def test_two_that_miss_to_either_side_are_averaged(trial):
+def test_two_models_with_opposite_errors_are_averaged(trial):
     pool = members(trial, [missing_by(trial, 0.03), missing_by(trial, 0.031), missing_by(trial, -0.032)])
     assert choose_team(trial, pool) == [pool[0], pool[2]]
 

@@ -123,13 +123,13 @@ def test_the_default_settings_can_be_had_and_built(capsys):
 
 
 @pytest.mark.parametrize(("settings", "what"), [
-    ({"_target_": "os.system", "command": "ls"}, "expected something in ssmr_torch.control. or ssmr_torch.tasks."),
+    ({"_target_": "os.system", "command": "ls"}, "a class or function in ssmr_torch.control. or ssmr_torch.tasks."),
     ({"_target_": "ssmr_torch.control.mpc.ModelPredictiveController", "qp": "elsewhere:Solver"},
      "the settings name 'elsewhere.Solver' as qp"),
     ({}, "the settings name None"), (None, "the settings name None"),
-    ({"_target_": "ssmr_torch.tasks.references.triangle"}, "cannot have ssmr_torch.tasks.references.triangle"),
-    ({"_target_": "ssmr_torch.tasks.nothing.triangle"}, "cannot have"),
-    ({"_target_": "ssmr_torch.tasks.references.circle", "radius": 1.0}, "does not take {'radius': 1.0}"),
+    ({"_target_": "ssmr_torch.tasks.references.triangle"}, "cannot load ssmr_torch.tasks.references.triangle"),
+    ({"_target_": "ssmr_torch.tasks.nothing.triangle"}, "cannot load"),
+    ({"_target_": "ssmr_torch.tasks.references.circle", "radius": 1.0}, "not accept the arguments {'radius': 1.0}"),
 ])
 def test_settings_that_name_something_else_are_refused(settings, what):
     with pytest.raises(ValueError, match=what):
