@@ -38,18 +38,13 @@ test: .venv/installed
 
 lint: .venv/installed
 	$(BIN)/ruff check .
+	$(BIN)/mypy
 
 docs: .venv/installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 benchmark: .venv/installed
-	$(BIN)/python experiments/benchmarks/fit.py
-	$(BIN)/python experiments/benchmarks/control_step.py
-	$(BIN)/python experiments/benchmarks/control_comparison.py
-	$(BIN)/python experiments/benchmarks/control_scaling.py
-	$(BIN)/python experiments/benchmarks/control_endurance.py
-	$(BIN)/python experiments/benchmarks/control_hostile.py
-	$(BIN)/python experiments/benchmarks/plant_step.py
+	for name in fit step comparison scaling endurance hostile plant libraries; do $(BIN)/ssmr benchmark $$name || exit 1; done
 
 clean:
 	rm -rf .venv outputs/*

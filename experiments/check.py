@@ -4,20 +4,19 @@ ssmr check recordings=CARD.yaml
 """
 
 from hydra.utils import instantiate
-from omegaconf import OmegaConf
 
-from ssmr_torch.experiments.entry import entry_point, save_json, save_result
+from ssmr_torch.entry_point import entry_point, origin_of, save_json, save_result
+from ssmr_torch.result_files import save_text
 
 
 @entry_point("check")
 def main(config, directory):
     from ssmr_torch import face
-    from ssmr_torch.provenance import provenance
 
     given = face.read(config.recordings) if config.recordings else instantiate(config.data)
     report = face.check(given.observing(config.outputs))
-    (directory / "check.txt").write_text(f"{report}\n")
-    origin = provenance(OmegaConf.to_container(config, resolve=False))
+    save_text(directory / "check.txt", f"{report}\n")
+    origin = origin_of(config, resolve=False)
     save_json(directory / "check.json", {"findings": report.as_dict(), "data": given.provenance, "provenance": origin})
     drawn = report.figures(directory) if config.figures else []
     print("\n".join([str(report), *map(str, drawn), str(directory / "check.json")]))

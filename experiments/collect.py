@@ -4,21 +4,19 @@ ssmr collect plant=slow_manifold excitation.decays.count=40
 """
 
 from hydra.utils import instantiate
-from omegaconf import OmegaConf
 
-from ssmr_torch.experiments.entry import entry_point
+from ssmr_torch.entry_point import entry_point, origin_of
 
 
 @entry_point("collect")
 def main(config, directory):
     from ssmr_torch.collection.resumption import COMPLETE, discard_recorded
-    from ssmr_torch.provenance import provenance
 
     plant = instantiate(config.rig)(instantiate(config.plant))
     dataset = instantiate(config.excitation)(plant, directory=directory, workers=config.workers)
     path = directory / COMPLETE
     if not path.exists():
-        dataset.provenance.update(provenance(OmegaConf.to_container(config, resolve=True)))
+        dataset.provenance.update(origin_of(config))
         rates = getattr(getattr(plant, "plant", plant), "eigenvalues", [])  # of the plant on the rig
         dataset.provenance["eigenvalues"] = [[float(rate.real), float(rate.imag)] for rate in rates]
         dataset.save(path)

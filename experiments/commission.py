@@ -1,4 +1,4 @@
-"""Robot on the bench → card, noise, polarity and delays, recordings, model, controller, circles, step by step.
+"""Robot → card, noise, polarity and delays, recordings, model, controller, circles, step by step.
 
 ssmr commission card=ROBOT.yaml plant=remote hydra.run.dir=DIR
 """
@@ -7,14 +7,14 @@ from pathlib import Path
 
 from hydra.utils import instantiate
 
-from ssmr_torch.experiments.entry import entry_point, save_result
+from ssmr_torch.entry_point import entry_point, save_result
 
 
 @entry_point("commission")
 def main(config, directory):
     from ssmr_torch.commissioning.commission import STEPS, commission
     from ssmr_torch.commissioning.directory import REPORT
-    from ssmr_torch.commissioning.guard import SafetyStop
+    from ssmr_torch.commissioning.safety_guard import SafetyStop
 
     card = Path(config.card)
     plant = instantiate(config.rig)(instantiate(config.plant))

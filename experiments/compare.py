@@ -4,24 +4,23 @@ ssmr compare data.path=FILE.h5
 """
 
 from hydra.utils import instantiate
-from omegaconf import OmegaConf
 
-from ssmr_torch.experiments.entry import entry_point, save_json, save_result
+from ssmr_torch.entry_point import entry_point, origin_of, save_json, save_result
+from ssmr_torch.result_files import save_text
 
 
 @entry_point("compare")
 def main(config, directory):
     from ssmr_torch.evaluation import figures
     from ssmr_torch.fitting.compare_models import compare
-    from ssmr_torch.provenance import provenance
 
     dataset = instantiate(config.data).observing(config.outputs)
     models = None if config.models is None else list(config.models)
     found = compare(dataset, models, scored=config.scored, noise=config.noise, horizons=list(config.horizons),
                     starts=config.starts, seed=config.seed)
-    origin = provenance(OmegaConf.to_container(config, resolve=True)) | {"data": dataset.provenance}
+    origin = origin_of(config) | {"data": dataset.provenance}
     save_json(directory / "comparison.json", found.as_dict() | {"provenance": origin})
-    (directory / "comparison.md").write_text(found.markdown)
+    save_text(directory / "comparison.md", found.markdown)
     figures.save(found.figure(), directory / "comparison.svg")
     for name, model in found.models.items() if config.artifacts else ():
         model.save(directory / "models" / name)

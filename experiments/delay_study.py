@@ -6,7 +6,7 @@ ssmr delay-study data.path=FILE.h5 record=record.h5
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from ssmr_torch.experiments.entry import entry_point, save_json
+from ssmr_torch.entry_point import entry_point, save_json
 
 
 def controlled_run(config, dataset):

@@ -5,7 +5,7 @@ ssmr docs-numbers writes all tables; ssmr docs-numbers check=true compares them 
 
 from pathlib import Path
 
-from ssmr_torch.experiments.entry import entry_point
+from ssmr_torch.entry_point import entry_point
 
 
 @entry_point("docs_numbers")

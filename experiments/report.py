@@ -3,7 +3,7 @@
 ssmr report directory=outputs/run
 """
 
-from ssmr_torch.experiments.entry import entry_point
+from ssmr_torch.entry_point import entry_point
 
 
 @entry_point("report")

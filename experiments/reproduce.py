@@ -30,7 +30,7 @@ from tqdm import tqdm
 
 from ssmr_torch.configuration import composed, folder, own_folders
 from ssmr_torch.deployment import artifact
-from ssmr_torch.experiments.entry import entry_point, save_json
+from ssmr_torch.entry_point import entry_point, save_json
 from ssmr_torch.paper.job_configuration import configuration
 from ssmr_torch.paper.jobs import STAGES, Job, chosen, keys, plan, quoted, slower_runs, with_recordings
 from ssmr_torch.paper.result_rows import MODEL_COLUMNS, RUN_COLUMNS, model_row, note_of, run_row

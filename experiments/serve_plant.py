@@ -5,7 +5,7 @@ ssmr serve-plant plant=trunk connect=tcp://HOST:5555
 
 from hydra.utils import instantiate
 
-from ssmr_torch.experiments.entry import entry_point, save_result
+from ssmr_torch.entry_point import entry_point, save_result
 
 
 @entry_point("serve_plant")

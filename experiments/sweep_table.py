@@ -8,7 +8,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
 from omegaconf import OmegaConf
 
-from ssmr_torch.experiments.entry import CONF
+from ssmr_torch.configuration import folder
 
 TUNED = ("model", "fit", "derivative")
 
@@ -99,7 +99,7 @@ def save_best(directory: Path, best: dict, note: str, choices) -> None:
     derivative and the transient that is cut. Another fit or derivative is written out, as composed in the best job:
     Hydra lets no file below conf/tuned choose one.
     """
-    before = Path(CONF) / "tuned" / str(choices.get("experiment")) / f"{choices.model}.yaml"
+    before = folder() / "tuned" / str(choices.get("experiment")) / f"{choices.model}.yaml"
     settings = OmegaConf.load(before) if choices.get("tuned") and before.is_file() else OmegaConf.create()
     for override in overrides_of(directory, best):
         section, _, rest = override.key_or_group.partition(".")

@@ -7,7 +7,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from ssmr_torch.experiments.entry import entry_point, save_json, save_result
+from ssmr_torch.entry_point import entry_point, save_json, save_result
 from ssmr_torch.extras import require
 
 

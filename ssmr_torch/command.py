@@ -17,7 +17,7 @@ from ssmr_torch import __version__
 from ssmr_torch.extras import remedy, require
 
 COMMANDS = ("collect", "check", "train", "compare", "export", "evaluate", "design", "control", "commission",
-            "serve-controller", "serve-plant", "report", "delay-study", "reproduce", "docs-numbers")
+            "serve-controller", "serve-plant", "report", "delay-study", "reproduce", "benchmark", "docs-numbers")
 SEARCHES = ("sweep=", "tuning=")
 COMPLETION = ("-sc", "--shell-completion")  # as Hydra has it
 

@@ -10,7 +10,10 @@ from ssmr_torch.lazy import found
 
 if TYPE_CHECKING:
     from ssmr_torch.closed_loop.record import ClosedLoopRecord
+    from ssmr_torch.control.base import Controller
+    from ssmr_torch.plants.base import Plant
     from ssmr_torch.recording_checks.report import RecordingsReport
+    from ssmr_torch.tasks.references import Task
     from ssmr_torch.trained_model import TrainedModel
     from ssmr_torch.trajectory import TrajectoryDataset
 
@@ -87,8 +90,9 @@ def load(path: str | Path) -> TrajectoryDataset | TrainedModel | ClosedLoopRecor
     raise ValueError(f"{path} is {advice}; expected {EXPECTED}")
 
 
-def simulate(plant, controller, task, *, noise: float = 0.0, seed: int = 0, progress: bool = True,
-             provenance: dict | None = None, watch: Callable[..., None] | None = None) -> ClosedLoopRecord:
+def simulate(plant: Plant, controller: Controller, task: Task, *, noise: float = 0.0, seed: int = 0,
+             progress: bool = True, provenance: dict[str, object] | None = None,
+             watch: Callable[..., None] | None = None) -> ClosedLoopRecord:
     """Let a controller steer a plant through a task, from rest; a bar shows where that takes more than a few seconds.
 
     plant: one of `ssmr_torch.plants`. controller: called as controller(time s, observation (p,) m) once per sample of

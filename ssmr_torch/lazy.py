@@ -6,11 +6,12 @@ import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from operator import attrgetter
+from typing import Any
 
 from ssmr_torch.extras import remedy
 
 
-def found(home: str):
+def found(home: str) -> Any:
     """The object named by "module:attribute" or "module:Class.attribute"; "module:" is the module itself.
 
     Raises ModuleNotFoundError if a package is missing, and names the extra that installs it.
@@ -31,7 +32,7 @@ def lazily(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], obje
     homes: the place of each name, in the form of `found`. Other names raise AttributeError, which lists the names that
     exist.
     """
-    def get(name: str):
+    def get(name: str) -> object:
         if name not in homes:
             raise AttributeError(f"{package} has no {name!r}; it has {', '.join(sorted(homes))}", name=name,
                                  obj=sys.modules[package])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,11 +20,28 @@ STRETCH = 65536  # number of samples that are read at once
 class Run(DataSheet):
     """Base class of trajectories in memory and trajectories in a file."""
 
+    if TYPE_CHECKING:  # what they have; a property here would become the default of a dataclass's field
+        name: str
+        kind: str
+        split: str
+
+        @property
+        def length(self) -> int:
+            raise NotImplementedError
+
+        @property
+        def timestep(self) -> float:
+            raise NotImplementedError
+
+        def slice(self, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+            raise NotImplementedError
+
     def extremes(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest values of the observation (2, p), m, and of the input (2, m); read piece by piece."""
         parts = [self.slice(start, min(start + STRETCH, self.length)) for start in range(0, self.length, STRETCH)]
-        return tuple(np.stack([np.min([part[which].min(0) for part in parts], axis=0),
-                               np.max([part[which].max(0) for part in parts], axis=0)]) for which in (0, 1))
+        observation, inputs = (np.stack([np.min([part[which].min(0) for part in parts], axis=0),
+                                         np.max([part[which].max(0) for part in parts], axis=0)]) for which in (0, 1))
+        return observation, inputs
 
     def data_sheet(self) -> tuple[str, dict]:
         observation, inputs = self.extremes()
@@ -32,8 +50,8 @@ class Run(DataSheet):
         return (f"{type(self).__name__} {self.name!r}: {self.length} samples, "
                 f"{sheet.number(self.timestep * (self.length - 1))} s", {
                     "use": f"{self.kind}, {self.split}", "sampling time": sheet.period(self.timestep),
-                    "observation": sheet.spans(named[0], *observation, "mm", 1e3),
-                    "input": sheet.spans(named[1], *inputs, "")})
+                    "observation": sheet.spans(named[0], observation[0], observation[1], "mm", 1e3),
+                    "input": sheet.spans(named[1], inputs[0], inputs[1], "")})
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +106,7 @@ class Trajectory(Run):
         """The same run with only these columns of the observation."""
         return replace(self, observation=self.observation[:, list(columns)])
 
-    def part(self, start: int, stop: int | None = None, **changes) -> Trajectory:
+    def part(self, start: int, stop: int | None = None, **changes: Any) -> Trajectory:
         """The samples start ≤ k < stop as a separate trajectory, with other fields changed by name."""
         kept = slice(start, stop)
         return replace(self, time=self.time[kept], observation=self.observation[kept], input=self.input[kept],

@@ -7,15 +7,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ssmr_torch import data_sheet as sheet
 from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.deployment import artifact
-from ssmr_torch.evaluation.predictors import as_predictor, at_every_sample
 from ssmr_torch.models.base import Model
+from ssmr_torch.models.predictors import as_predictor, at_every_sample
 from ssmr_torch.periods import whole_multiple
+
+if TYPE_CHECKING:
+    from ssmr_torch.control.designed import DesignedController
+    from ssmr_torch.tasks.references import Task
 
 OUTSIDE = 0.25  # a prediction may leave the training range by this share of the range without a warning
 
@@ -119,7 +125,8 @@ class TrainedModel(DataSheet):
         """Sampling time of the recordings, s; for an artifact that does not state it, that of the window."""
         return float(self.card.get("sampling_time") or self.window_timestep)
 
-    def predict(self, window, inputs, past_inputs=None) -> np.ndarray:
+    def predict(self, window: npt.ArrayLike, inputs: npt.ArrayLike,
+                past_inputs: npt.ArrayLike | None = None) -> np.ndarray:
         """Outputs at the next H instants of the recording's sampling:  y_k = w(f(… f(v(window), u_0) …, u_{k-1})).
 
         window (…, delays + 1, p): measured displacements from rest, m, newest last, `window_timestep` s apart.
@@ -193,9 +200,11 @@ class TrainedModel(DataSheet):
         except ValueError as error:
             raise ValueError(f"window, inputs and past_inputs have the leading shapes {batches}, which do not fit "
                              "together; expected equal leading shapes, or an array without one") from error
-        return tuple(np.broadcast_to(array, leading + array.shape[-2:]) for array in found)
+        window, inputs, past_inputs = (np.broadcast_to(array, leading + array.shape[-2:]) for array in found)
+        return window, inputs, past_inputs
 
-    def controller(self, task=None, bounds=None, **changes):
+    def controller(self, task: Task | None = None, bounds: npt.ArrayLike | None = None,
+                   **changes: Any) -> DesignedController:
         """The `DesignedController` in the artifact. Its commands are identical to those of the controller of the
         design.
 
@@ -238,14 +247,15 @@ class TrainedModel(DataSheet):
                              rest=card["rest"], input_range=card["input_range"], input_unit=card["input_unit"],
                              name=card["name"], provenance=card.get("provenance"), scores=_finite(card.get("scores")),
                              cost=card.get("cost"), sampling_time=self.sampling_time,
-                             output_range=card.get("output_range"), designed=self.designed, **more)
+                             output_range=card.get("output_range"), **more,
+                             designed=None if self.designed is None else dict(self.designed))
 
     def data_sheet(self) -> tuple[str, dict]:
         model, said = self.reduced, self.card.get("provenance") or {}
         cost, scores = self.card.get("cost") or {}, self.scores
         entries = {
             "outputs": f"{sheet.listed(self.output_names)}; displacement from rest, m",
-            "inputs: range of the training": sheet.spans(self.input_names, *self.input_range,
+            "inputs: range of the training": sheet.spans(self.input_names, self.input_range[0], self.input_range[1],
                                                          sheet.unit_of(self.input_unit)),
             "window": f"{self.delays + 1} samples, {self.window_timestep:g} s apart; delays = {self.delays}",
             "step": sheet.period(self.timestep), "recordings": sheet.period(self.sampling_time),

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -121,7 +122,7 @@ class TrajectoryDataset(DataSheet, Sequence):
     def __len__(self) -> int:
         return len(self.trajectories)
 
-    def __getitem__(self, index):
+    def __getitem__(self, index: Any) -> Any:
         return self.trajectories[index]
 
     @property
@@ -168,8 +169,9 @@ class TrajectoryDataset(DataSheet, Sequence):
     def extremes(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest values over all runs: outputs (2, p), m, and inputs (2, m)."""
         found = zip(*(run.extremes() for run in self.trajectories))
-        return tuple(np.stack([np.min([each[0] for each in of_runs], axis=0),
-                               np.max([each[1] for each in of_runs], axis=0)]) for of_runs in map(list, found))
+        outputs, inputs = (np.stack([np.min([each[0] for each in of_runs], axis=0),
+                                     np.max([each[1] for each in of_runs], axis=0)]) for of_runs in map(list, found))
+        return outputs, inputs
 
     def data_sheet(self) -> tuple[str, dict]:
         uses: dict[str, list] = {}
@@ -178,8 +180,9 @@ class TrajectoryDataset(DataSheet, Sequence):
         observation, inputs = self.extremes()
         return f"TrajectoryDataset: {_counted([run.length for run in self])}, {sheet.period(self.timestep)}", {
             "runs": {use: _counted(lengths) for use, lengths in uses.items()},
-            "outputs: displacement from rest": sheet.spans(self.output_names, *observation, "mm", 1e3),
-            "inputs: held from sample to sample": sheet.spans(self.input_names, *inputs,
+            "outputs: displacement from rest": sheet.spans(self.output_names, observation[0], observation[1], "mm",
+                                                           1e3),
+            "inputs: held from sample to sample": sheet.spans(self.input_names, inputs[0], inputs[1],
                                                               sheet.unit_of(self.input_unit)),
             "rest": f"{sheet.listed(sheet.number(1e3 * x) for x in self.rest)} mm",
         } | sheet.origin(self.provenance)

@@ -1,7 +1,6 @@
-"""Seeds, one thread, where the real measurements are, forged artifacts, the benchmark's oscillators, and the wheel."""
+"""Seeds, one thread, where the real measurements are, forged artifacts, the benchmarks' oscillators, and the wheel."""
 
 import hashlib
-import importlib.util
 import json
 import os
 import shutil
@@ -18,6 +17,7 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
 from ssmr_torch import configuration
+from ssmr_torch.benchmarks import tracking_instance
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.designed import DesignedController
 from ssmr_torch.control.disturbance_observer import DisturbanceObserver
@@ -28,7 +28,6 @@ from ssmr_torch.fitting.closed_form_fit import ExactSolve
 configuration.register()
 ROOT = Path(__file__).resolve().parents[1]
 MEASUREMENTS = Path(os.environ.get("SSMR_TORCH_DATA", ROOT.parent / "shared" / "data"))
-BENCHMARK = ROOT / "experiments" / "benchmarks" / "control_step.py"
 
 
 @pytest.fixture(autouse=True)
@@ -95,11 +94,8 @@ def solve_stages():
 
 @pytest.fixture(scope="session")
 def bench():
-    """The benchmark as a module: `oscillators`, `perturbed`, `ModelPlant`, `BOUNDS`, `measure`."""
-    spec = importlib.util.spec_from_file_location("control_step", BENCHMARK)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    """The tracking problem of the benchmarks as a module: `oscillators`, `perturbed`, `ModelPlant`, `BOUNDS`, …"""
+    return tracking_instance
 
 
 @pytest.fixture(scope="session")

@@ -2,14 +2,25 @@
 that it can.
 """
 
-import ast
-import sys
-from fnmatch import fnmatch
-from functools import cache
+import re
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
+from architecture import (
+    arrows,
+    circles,
+    drawn_in,
+    files_touched,
+    importers,
+    oversized,
+    picture,
+    relative_imports,
+    scripts_too_long,
+    sources,
+    strays,
+    trespasses,
+    upward,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "ssmr_torch"
@@ -18,8 +29,8 @@ PACKAGE = ROOT / "ssmr_torch"
 HOMES = {
     "numpy": ["*"], "scipy": ["*"], "tqdm": ["*"],
     "torch": ["models/*", "fitting/*", "data/datamodule.py", "data/windows.py", "deployment/torch_program.py",
-              "paper/delay_study.py"],
-    "lightning": ["data/datamodule.py", "fitting/*"],
+              "paper/delay_study.py", "benchmarks/*"],
+    "lightning": ["data/datamodule.py", "fitting/*", "benchmarks/fit.py"],
     "sklearn": ["fitting/streamed_least_squares.py"],
     "numba": ["control/*", "models/batch_kernel.py", "plants/finite_element/compiled.py", "plants/pressure_arm.py",
               "plants/slow_manifold.py"],
@@ -27,14 +38,18 @@ HOMES = {
     "soromox": ["plants/isupport.py", "plants/planar_hsa.py"],
     "jax": ["plants/isupport.py", "plants/planar_hsa.py", "plants/soromox_robot.py"],
     "proxsuite": ["control/solvers/proxqp.py"], "daqp": ["control/solvers/daqp.py"],
-    "qpsolvers": ["control/solvers_of_qpsolvers.py"],
+    "qpsolvers": ["control/solvers_of_qpsolvers.py", "benchmarks/comparison.py"],
     "safetensors": ["deployment/artifact.py"],
     "onnx": ["deployment/onnx_program.py"], "onnxruntime": ["deployment/onnx_program.py"],
-    "casadi": ["deployment/casadi_program.py"],
-    "hydra": ["configuration.py"], "omegaconf": ["configuration.py"],
+    "casadi": ["deployment/casadi_program.py", "benchmarks/other_solvers.py"],
+    "acados_template": ["benchmarks/other_solvers.py"], "ruptures": ["benchmarks/libraries.py"],
+    "hydra": ["configuration.py", "entry_point.py"], "omegaconf": ["configuration.py", "entry_point.py"],
     "h5py": ["trajectory.py", "closed_loop/record.py", "commissioning/directory.py", "data/*",
              "collection/resumption.py", "paper/report_sections.py"],
-    "yaml": ["data/recording_card.py", "commissioning/card.py", "documents/stray_numbers.py"],
+    "yaml": ["data/card_file.py", "documents/stray_numbers.py"],
+    "pandas": ["data/column_files.py", "data/csv_text.py"],
+    "pydantic": ["data/card_file.py", "data/recording_card.py", "data/units.py", "commissioning/robot_card.py"],
+    "pydantic_core": ["data/card_file.py"],
     "matplotlib": ["evaluation/*figures.py"],
     "jinja2": ["report/html_page.py"], "markupsafe": ["report/html_page.py"],
     "meshio": ["plants/finite_element/mesh_files.py"], "fontTools": ["tasks/symbols.py"],
@@ -42,7 +57,7 @@ HOMES = {
 }
 # What a room never imports; * is every room, and a room may import itself. command.py is what starts the experiments.
 NEVER = {
-    "*": ["experiments", "paper", "conf"],
+    "*": ["experiments", "paper", "conf", "benchmarks"],
     "models": ["plants", "control", "data", "fitting", "deployment", "evaluation", "wire", "tasks", "closed_loop"],
     "plants": ["models", "control", "data", "fitting", "deployment", "evaluation", "tasks", "closed_loop"],
     "control": ["plants", "data", "fitting", "deployment", "evaluation", "wire", "tasks", "closed_loop",
@@ -55,222 +70,89 @@ NEVER = {
 EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "control"]}
 # Who touches files; all else takes and returns arrays.
 TOUCHES_FILES = [
-    "trajectory.py", "deployment/artifact.py", "deployment/checkpoint_twin.py", "closed_loop/record.py",
-    "provenance.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py", "commissioning/directory.py",
+    "trajectory.py", "benchmarks/*", "deployment/artifact.py", "deployment/checkpoint_twin.py", "closed_loop/record.py",
+    "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py",
+    "commissioning/directory.py",
     "controller_design/report.py", "defaults.py", "data/*", "documents/*",
     "deployment/deploy.py", "fitting/by_kind.py", "fitting/checkpoints.py", "evaluation/*figures.py",
     "report/html_page.py", "report/run_sections.py",
     "paper/report_sections.py",
     "plants/finite_element/mesh_files.py", "tasks/symbols.py", "closed_loop/rerun_view.py"]
-NAMELESS = {"utils", "util", "helpers", "helper", "common", "misc", "manager"}
-
-FILE_METHODS = {"open", "read_text", "write_text", "read_bytes", "write_bytes", "unlink", "rename", "mkdir", "rmdir",
-                "touch", "symlink_to", "hardlink_to", "tofile", "savefig"}
-FILE_MODULES = {"shutil", "tempfile", "zipfile", "tarfile", "gzip", "bz2", "lzma", "sqlite3", "pickle", "h5py",
-                "safetensors"}
-FILE_CALLS = {"open", "io.open", "json.load", "json.dump", "yaml.safe_load", "torch.load", "torch.save",
-              "scipy.io.loadmat", "scipy.io.savemat", "meshio.read", "meshio.write",
-              *(f"os.{name}" for name in ("open", "remove", "unlink", "rename", "replace", "makedirs", "rmdir")),
-              *(f"numpy.{name}" for name in ("load", "save", "savez", "savez_compressed", "loadtxt", "savetxt",
-                                             "genfromtxt", "fromfile", "memmap"))}
-WRITES = {".write_text", ".write_bytes", ".tofile", ".savefig", "json.dump", "torch.save", "scipy.io.savemat",
-          "meshio.write", "safetensors.numpy.save_file", "numpy.save", "numpy.savez", "numpy.savez_compressed",
-          "numpy.savetxt"}
-RENAMES = {"os.replace", "os.rename", ".rename", ".replace"}
-
-
-class Source(NamedTuple):
-    """What the rules look at in one Python file; room: its path below the folder.
-
-    imports: every module, at any depth of the code, by a statement or by its name as a text. files: what it calls that
-    touches files. functions: names and lines of all, nested ones as well. relative: lines of relative imports.
-    """
-
-    room: str
-    imports: set[str]
-    files: set[str]
-    functions: list[tuple[str, int]]
-    relative: list[int]
-    lines: int
-
-
-class Code:
-    """A parsed file, without what only a type checker reads."""
-
-    def __init__(self, text: str):
-        tree = ast.parse(text)
-        unread = {inner for node in ast.walk(tree)
-                  if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
-                  for each in node.body for inner in ast.walk(each)}
-        nodes = [node for node in ast.walk(tree) if node not in unread]
-        self.statements = [node for node in nodes if isinstance(node, ast.Import)]
-        self.froms = [node for node in nodes if isinstance(node, ast.ImportFrom)]
-        self.functions = [node for node in nodes if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))]
-        aliases = [(alias, alias.name if alias.asname else alias.name.split(".")[0])
-                   for node in self.statements for alias in node.names]
-        aliases += [(alias, f"{node.module}.{alias.name}") for node in self.froms for alias in node.names]
-        # np is numpy
-        self.bound = {alias.asname or alias.name.split(".")[0]: meant for alias, meant in aliases}
-        self.calls = [(self._called(node), node) for node in nodes if isinstance(node, ast.Call)]
-
-    def _called(self, call: ast.Call) -> str:
-        """Dotted name of what is called, by where it was imported from; .name of a method of something else."""
-        first, parts = call.func, []
-        while isinstance(first, ast.Attribute):
-            parts.insert(0, first.attr)
-            first = first.value
-        if isinstance(first, ast.Name) and (first.id in self.bound or not parts):
-            return ".".join([self.bound.get(first.id, first.id), *parts])
-        return f".{parts[-1]}" if parts else ""
-
-    def imports(self) -> set[str]:
-        names = {alias.name for node in self.statements for alias in node.names}
-        for node in (node for node in self.froms if not node.level):
-            names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
-        names |= {beginning(call.args[0]) for name, call in self.calls
-                  if name.rpartition(".")[2] in ("import_module", "__import__") and call.args}
-        return names - {""}
-
-    def files(self) -> set[str]:
-        found = set()
-        for name, call in self.calls:
-            owner, _, last = name.rpartition(".")
-            of_object = "." in name and owner not in sys.stdlib_module_names
-            replaces = last == "replace" and len(call.args) == 1 and not call.keywords  # of a path, not of a text
-            if name in FILE_CALLS or name.split(".")[0] in FILE_MODULES:
-                found |= {name, f"{name} to write"} if opens_to_write(name, call) else {name}
-            elif of_object and (last in FILE_METHODS or replaces):
-                found |= {f".{last}", f".{last} to write"} if opens_to_write(f".{last}", call) else {f".{last}"}
-        return found
-
-
-def beginning(node: ast.AST) -> str:
-    """The text of a constant, or of an f-string up to its first value."""
-    if isinstance(node, ast.JoinedStr) and node.values:
-        return beginning(node.values[0]).rstrip(".")
-    return node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else ""
-
-
-def opens_to_write(name: str, call: ast.Call) -> bool:
-    """Whether something is opened with a mode that writes: open(path, "w"), path.open("w"), File(path, "w")."""
-    if name.rpartition(".")[2] not in ("open", "File", "ZipFile", "memmap"):
-        return False
-    given = call.args[:1] if name.startswith(".") else call.args[1:2]
-    modes = [beginning(each) for each in (*given, *(each.value for each in call.keywords if each.arg == "mode"))]
-    return any(set(mode) & set("wax+") for mode in modes)
-
-
-@cache
-def sources(folder: Path) -> tuple[Source, ...]:
-    found = []
-    for path in sorted(folder.rglob("*.py")):
-        text = path.read_text()
-        code = Code(text)
-        found.append(Source(path.relative_to(folder).as_posix(), code.imports(), code.files(),
-                            [(node.name, node.end_lineno - node.lineno) for node in code.functions],
-                            [node.lineno for node in code.froms if node.level], len(text.splitlines())))
-    return tuple(found)
-
-
-def relative_imports(folder: Path) -> list[str]:
-    return [f"{source.room} line {line} imports relatively" for source in sources(folder) for line in source.relative]
-
-
-def importers(folder: Path) -> dict[str, set[str]]:
-    """Rooms that import a library, by a statement or by its name, for each that is none of Python's or the folder's."""
-    found: dict[str, set[str]] = {}
-    for source in sources(folder):
-        for library in {name.split(".")[0] for name in source.imports} - {*sys.stdlib_module_names, folder.name}:
-            found.setdefault(library, set()).add(source.room)
-    return found
-
-
-def strays(folder: Path, homes: dict[str, list[str]]) -> list[str]:
-    """Libraries imported outside of their homes, homes that no importer lives in, and libraries without any."""
-    met = importers(folder)
-    found = [f"{library} has no home" for library in sorted(set(met) - set(homes))]
-    for library, patterns in homes.items():
-        rooms = met.get(library, set())
-        found += [f"{room} imports {library}" for room in sorted(rooms)
-                  if not any(fnmatch(room, pattern) for pattern in patterns)]
-        found += [f"nothing in {pattern} imports {library}" for pattern in patterns
-                  if not any(fnmatch(room, pattern) for room in rooms)]
-    return found
-
-
-def trespasses(folder: Path, never: dict[str, list[str]], allowed: dict[str, list[str]] = {}) -> list[str]:  # noqa: B006
-    """Rooms that import a room which they never may."""
-    found = []
-    for source in sources(folder):
-        own = source.room.split("/")[0].removesuffix(".py")
-        barred = [f"{folder.name}.{other}" for room in ("*", own) for other in never.get(room, ())
-                  if other != own and other not in allowed.get(source.room, ())]
-        found += [f"{source.room} imports {name}" for name in sorted(source.imports)
-                  if any(f"{name}.".startswith(f"{other}.") for other in barred)]
-    return found
-
-
-def circles(folder: Path) -> list[str]:
-    """Circles of imports, at any depth of the code."""
-    modules = {".".join([folder.name, *Path(source.room).with_suffix("").parts]).removesuffix(".__init__"): source
-               for source in sources(folder)}
-    graph = {module: sorted(source.imports & set(modules) - {module}) for module, source in modules.items()}
-    done, found = set(), []
-
-    def visit(module: str, before: tuple[str, ...]) -> None:
-        if module in before:
-            found.append(" → ".join([*before[before.index(module):], module]))
-        elif module not in done:
-            for target in graph[module]:
-                visit(target, (*before, module))
-            done.add(module)
-
-    for module in graph:
-        visit(module, ())
-    return found
-
-
-def files_touched(folder: Path, allowed: list[str]) -> list[str]:
-    """Rooms that touch files and may not, rooms that may and do not, and what is written under its own name at once."""
-    rooms = {source.room: source.files for source in sources(folder) if source.files}
-    found = [f"{room} touches files: {', '.join(sorted(calls))}" for room, calls in rooms.items()
-             if not any(fnmatch(room, pattern) for pattern in allowed)]
-    found += [f"nothing in {pattern} touches files" for pattern in allowed
-              if not any(fnmatch(room, pattern) for room in rooms)]
-    for room, calls in rooms.items():
-        written = {call for call in calls if call in WRITES or call.endswith(" to write")}
-        if written and not calls & RENAMES:
-            found.append(f"{room} writes by {', '.join(sorted(written))} and renames nothing into place")
-    return found
-
-
-def oversized(folder: Path, lines: int, function: int) -> list[str]:
-    """Files and functions, nested ones as well, that are too long, and files that are named after nothing."""
-    found = []
-    for source in sources(folder):
-        found += [f"{source.room} has {source.lines} lines"] * (source.lines > lines)
-        found += [f"{source.room} is named after nothing"] * (Path(source.room).stem in NAMELESS)
-        found += [f"{source.room}: {name} has {own} lines" for name, own in source.functions if own > function]
-    return found
-
 
 RULES = {
     "imports are absolute": lambda folder: relative_imports(folder),
     "each library has its rooms": lambda folder: strays(folder, HOMES),
     "rooms keep apart": lambda folder: trespasses(folder, NEVER, EXCEPT),
+    "no arrow between rooms runs up": lambda folder: [f"{one} imports {two}" for one, two in upward(arrows(folder))],
     "there are no import circles": lambda folder: circles(folder),
     "only the named rooms touch files, and write aside": lambda folder: files_touched(folder, TOUCHES_FILES),
     "rooms are small and named after what is in them": lambda folder: oversized(folder, 330, 55),
 }
 
 
+def kept(rule: str, folder: Path) -> None:
+    """Fail with what breaks the rule, and the picture of the rooms and their arrows."""
+    broken = RULES[rule](folder)
+    assert not broken, "\n".join([f"{rule}: this is broken by", *broken, "", picture(folder)])
+
+
 @pytest.mark.parametrize("rule", RULES)
-def test_the_house_keeps_its_rules(rule):
-    assert RULES[rule](PACKAGE) == []
+def test_the_package_keeps_its_rules(rule):
+    kept(rule, PACKAGE)
 
 
-def test_entry_points_are_thin():
-    assert [found for found in oversized(ROOT / "experiments", 330, 40) if not found.startswith("benchmarks/")] == []
+# Entry points that are longer still.
+LONGER = {"reproduce.py", "delay_study.py", "train.py", "sweep_table.py", "hydra_plugins/study_sweeper.py"}
+
+
+def test_no_file_of_the_entry_points_has_more_than_40_lines():
+    assert [each for each in scripts_too_long(ROOT / "experiments", 40) if each.split()[0] not in LONGER] == []
+
+
+def test_of_the_entry_points_only_those_of_the_paper_import_its_room():
+    found = {source.room for source in sources(ROOT / "experiments")
+             if any(f"{name}.".startswith("ssmr_torch.paper.") for name in source.imports)}
+    assert found <= {"reproduce.py", "delay_study.py"}
+
+
+def test_contributing_shows_the_rooms_and_arrows_as_they_are():
+    assert drawn_in((ROOT / "CONTRIBUTING.md").read_text()) == picture(PACKAGE), "run python tests/architecture.py"
+
+
+def test_contributing_names_files_that_exist():
+    page = (ROOT / "CONTRIBUTING.md").read_text()
+    named = re.findall(r"`((?:ssmr_torch|tests|tools|conf|docs|experiments|\.ci)/[\w/.]*)", page)
+    assert len(named) > 15 and [each for each in named if "NAME" not in each and not (ROOT / each).exists()] == []
+
+
+def planted(tmp_path: Path, **codes: str) -> Path:
+    """A package with these files, a__b for a/b.py."""
+    for name, code in codes.items():
+        path = tmp_path / "ssmr_torch" / f"{name.replace('__', '/')}.py"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(code)
+    return tmp_path / "ssmr_torch"
+
+
+def test_a_broken_rule_prints_the_rooms_by_floor_and_marks_the_arrow_that_runs_up(tmp_path):
+    folder = planted(tmp_path, models__a="x = 1", models__b="from ssmr_torch.control import mpc", status="",
+                     control__mpc="from ssmr_torch.models import a\nfrom ssmr_torch import status",
+                     control__qp="import ssmr_torch.models.a")
+    with pytest.raises(AssertionError) as failed:
+        kept("rooms keep apart", folder)
+    lines = [line.strip() for line in str(failed.value).splitlines()]
+    assert "models/b.py imports ssmr_torch.control" in lines
+    assert lines.index("floor 2   control/") < lines.index("floor 1   models/  status.py")
+    assert "control/             → models/" in lines
+    assert "UPWARDS: models/ → control/, by models/b.py" in lines
+    assert RULES["no arrow between rooms runs up"](folder) == ["models/ imports control/"]
+
+
+def test_an_arrow_that_follows_from_others_is_not_drawn(tmp_path):
+    folder = planted(tmp_path, top__a="import ssmr_torch.middle.a\nimport ssmr_torch.low.a",
+                     middle__a="import ssmr_torch.low.a", low__a="")
+    assert set(arrows(folder)) == {("top/", "middle/"), ("top/", "low/"), ("middle/", "low/")}
+    assert upward(arrows(folder)) == [] and "top/                 → middle/" in picture(folder).splitlines()
 
 
 NESTED = "def outer():\n    class Inner:\n        def long(self):\n" + "            x = 1\n" * 60
@@ -283,7 +165,7 @@ PLANTED = [
         "from importlib import import_module\nimport_module(f'torch.{name}')")],
     ("each library has its rooms", "control/a.py", "import importlib\nimportlib.import_module('daqp')",
      "control/a.py imports daqp"),
-    ("each library has its rooms", "control/a.py", "import pandas", "pandas has no home"),
+    ("each library has its rooms", "control/a.py", "import polars", "polars has no home"),
     ("each library has its rooms", "control/a.py", "x = 1", "nothing in wire/link.py imports zmq"),
     *[("rooms keep apart", room, code, f"{room} imports {name}") for room, code, name in (
         ("models/a.py", "from ssmr_torch.control import mpc", "ssmr_torch.control"),
@@ -293,7 +175,11 @@ PLANTED = [
         ("control/a.py", "from ssmr_torch.models import named_structures", "ssmr_torch.models.named_structures"),
         ("wire/a.py", "from importlib import import_module\nimport_module('ssmr_torch.models.base')",
          "ssmr_torch.models.base"),
-        ("wire/runner.py", "from ssmr_torch.experiments.entry import entry_point", "ssmr_torch.experiments.entry"),
+        ("wire/runner.py", "from ssmr_torch.experiments.train import main", "ssmr_torch.experiments.train"),
+        ("data/a.py", "from ssmr_torch.plants.base import Plant", "ssmr_torch.plants.base"),
+        ("data/a.py", "def f():\n    import ssmr_torch.collection.collect", "ssmr_torch.collection.collect"),
+        ("control/a.py", "from ssmr_torch.benchmarks import table", "ssmr_torch.benchmarks"),
+        ("evaluation/a.py", "from ssmr_torch.paper.models import read_ssmr_model", "ssmr_torch.paper.models"),
         ("fitting/a.py", "from ssmr_torch.paper import jobs", "ssmr_torch.paper"))],
     *[("only the named rooms touch files, and write aside", "control/a.py", code, f"control/a.py touches files: {what}")
       for code, what in (

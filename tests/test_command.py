@@ -10,7 +10,6 @@ import subprocess
 import sys
 import tokenize
 import tomllib
-from importlib import import_module
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -19,6 +18,8 @@ from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from ssmr_torch import __version__, command, extras
+from ssmr_torch.benchmarks.catalogue import NAMES, as_overrides, settings_of
+from ssmr_torch.entry_point import offer
 
 ROOT = Path(__file__).resolve().parents[1]
 CONF, EXPERIMENTS = ROOT / "conf", ROOT / "experiments"
@@ -118,7 +119,7 @@ def test_groups_of_ones_own_count_in_the_jobs_that_a_command_composes(tmp_path):
     (tmp_path / "conf" / "task" / "mine.yaml").write_text("defaults: [circle]\nradius: 0.0123\n")
     (tmp_path / "program.py").write_text(
         "from ssmr_torch.configuration import composed, own_folders\n"
-        "from ssmr_torch.experiments.entry import entry_point\n\n"
+        "from ssmr_torch.entry_point import entry_point\n\n"
         "@entry_point('report')\ndef main(config, directory):\n"
         "    print(composed('control', ['task=mine']).task.radius, *own_folders())\n\nmain()\n")
     done = subprocess.run([sys.executable, "program.py", "--config-dir", "conf", "directory=."], cwd=tmp_path,
@@ -225,10 +226,8 @@ def documented():
                      and not word.endswith("…"))
         own = re.search(r"--config-dir (\S+)", rest)
         first = next(iter(rest.split()), "")
-        if name == "benchmark" and kept and first.isupper():  # NAME
-            continue
-        if name == "benchmark" and kept:
-            kept = (first, *kept)
+        if name == "benchmark" and first.islower() and "=" not in first:
+            kept = tuple(as_overrides([first, *kept]))
         if own:  # docs/extending.md shows the package of tests/extension
             kept += (f"hydra.searchpath=['file://{ROOT}/tests/extension/{own[1]}']",)
         if kept and (path, name, kept) not in seen:
@@ -238,16 +237,14 @@ def documented():
 
 @pytest.fixture(scope="module")
 def configurations():
+    offer("benchmark", {name: settings_of(name) for name in NAMES})
     with initialize_config_dir(str(CONF), version_base="1.3"):
         yield
 
 
 @pytest.mark.parametrize(("name", "words"), list(documented()))
 def test_every_documented_command_composes(name, words, configurations):
-    if name == "benchmark":  # its settings are those of a function, offered when the command starts
-        settings_of = import_module("ssmr_torch.benchmarks.catalogue").settings_of
-        assert {word.partition("=")[0] for word in words[1:]} - {"hydra.run.dir"} <= set(settings_of(words[0]))
-        return
+    
     overrides = OverridesParser.create().parse_overrides([word for word in words if word != "--multirun"])
     single = [f"{override.input_line.partition('=')[0]}={next(iter(override.sweep_string_iterator()))}"
               if override.is_sweep_override() else override.input_line for override in overrides]

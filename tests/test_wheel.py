@@ -52,7 +52,7 @@ def test_every_module_and_every_configuration_is_in_the_wheel(wheel):
     places = {"ssmr_torch": "ssmr_torch", "conf": "ssmr_torch/conf", "experiments": "ssmr_torch/experiments"}
     wanted = {f"{place}/{path.relative_to(ROOT / folder).as_posix()}" for folder, place in places.items()
               for path in (ROOT / folder).rglob("*") if path.is_file() and "__pycache__" not in path.parts}
-    scripts_of_the_checkout = ("benchmarks/", "fonts/", "meshes/", "hydra_plugins/")
+    scripts_of_the_checkout = ("hydra_plugins/",)
     wanted = {name for name in wanted
               if not name.removeprefix("ssmr_torch/experiments/").startswith(scripts_of_the_checkout)}
     assert wanted | {"hydra_plugins/study_sweeper.py"} <= inside

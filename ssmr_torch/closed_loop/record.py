@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -65,8 +66,10 @@ class ClosedLoopRecord(DataSheet):
     def data_sheet(self) -> tuple[str, dict]:
         said, times = self.provenance, self.solve_time[np.isfinite(self.solve_time)]
         name = f" of {said['task']!r}" if said.get("task") else ""
-        entries = {"tracked": f"{sheet.listed(self.output_names[column] for column in self.tracked)}; {self._errors()}",
-                   "samples": f"{len(self.time)}, {sheet.period(self.time[1] - self.time[0])}"}
+        tracked = sheet.listed(self.output_names[column] for column in self.tracked)
+        entries: dict[str, object] = {
+            "tracked": f"{tracked}; {self._errors()}",
+            "samples": f"{len(self.time)}, {sheet.period(self.time[1] - self.time[0])}"}
         if "period" in said:
             entries["control"] = f"{said.get('controller', 'controller')}, {sheet.period(said['period'])}"
         entries["fallbacks"] = f"{int(self.fallback.sum())} of {len(times)} decisions"
@@ -78,7 +81,7 @@ class ClosedLoopRecord(DataSheet):
             entries["noise"] = f"{sheet.number(1e3 * said['noise_std'])} mm, seed {said['seed']}"
         return f"ClosedLoopRecord{name}: {sheet.number(self.time[-1] - self.time[0])} s", entries | sheet.origin(said)
 
-    def report(self, obstacles=()) -> LoopReport:
+    def report(self, obstacles: Sequence = ()) -> LoopReport:
         """Everything that ssmr control prints about the run; obstacles: those of the task."""
         return loop_report(self, obstacles)
 
@@ -134,8 +137,9 @@ def told_by(controller) -> dict:
     """
     facts, model = getattr(controller, "facts", {}), getattr(controller, "model", None)
     told = {name: facts[name] for name in ("tuned", "minutes", "reach") if facts.get(name) is not None}
-    if hasattr(model, "rates"):
-        told["natural_frequency"] = natural_frequency(model.rates)
+    rates = getattr(model, "rates", None)
+    if rates is not None:
+        told["natural_frequency"] = natural_frequency(rates)
     if hasattr(controller, "counts"):
         told["counts"] = {str(name): int(count) for name, count in controller.counts.items() if count}
     return told

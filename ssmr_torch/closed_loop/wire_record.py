@@ -16,7 +16,7 @@ def record_of(end: ControllerEnd, task, provenance: dict | None = None) -> Close
     The true outputs of the robot are not known here, so that the observation is the measurement, interpolated linearly
     where one was missing. Raises ValueError for a run without a measurement.
     """
-    samples, card = end.samples, end.card
+    samples, robot = end.samples, end.description
     time = np.array([sample.time for sample in samples])
     measurement = np.array([sample.observation for sample in samples]).reshape(len(samples), -1)
     seen = np.isfinite(measurement).all(axis=1)
@@ -25,9 +25,9 @@ def record_of(end: ControllerEnd, task, provenance: dict | None = None) -> Close
     observation = np.stack([np.interp(time, time[seen], column) for column in measurement[seen].T], axis=1)
     commands = [sample.command for sample in samples]
     codes = [code_of(command) for command in commands]
-    settings = {"task": task.name, "plant": card.name, "controller": type(end.controller).__name__,
-                "period": end.controller.period, "timestep": card.timestep, "seed": end.seed, "version": __version__,
-                "wire": dict(end.counts), "real_time": card.real_time, "input_bounds": card.input_bounds.tolist()}
+    settings = {"task": task.name, "plant": robot.name, "controller": type(end.controller).__name__,
+                "period": end.controller.period, "timestep": robot.timestep, "seed": end.seed, "version": __version__,
+                "wire": dict(end.counts), "real_time": robot.real_time, "input_bounds": robot.input_bounds.tolist()}
     settings |= told_by(end.controller)
     return ClosedLoopRecord(
         time=time, reference=task.reference(time), observation=observation, measurement=measurement,
@@ -36,8 +36,8 @@ def record_of(end: ControllerEnd, task, provenance: dict | None = None) -> Close
         solve_time=np.where([command.held for command in commands], np.nan, [sample.solve_time for sample in samples]),
         iterations=np.array([0 if command.plan is None else command.plan.iterations for command in commands]),
         statuses=tuple(_status(command, code) for command, code in zip(commands, codes)),
-        tracked=task.columns(card.output_names), output_names=card.output_names, input_names=card.input_names,
-        input_unit=card.input_unit, provenance=settings | (provenance or {}),
+        tracked=task.columns(robot.output_names), output_names=robot.output_names, input_names=robot.input_names,
+        input_unit=robot.input_unit, provenance=settings | (provenance or {}),
         violation=planned_violations(commands))
 
 

@@ -1,4 +1,4 @@
-"""A robot on the bench, step by step, from its card to fast circles; each step is shown, confirmed and recorded."""
+"""Commissioning, step by step, from the robot card to fast circles; each step is shown, confirmed and recorded."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from ssmr_torch.collection.resumption import COMPLETE
-from ssmr_torch.commissioning.card import BenchCard, fitted, read_bench_card
 from ssmr_torch.commissioning.channels import admissible_share, channel_faults, channels_said, expectations
 from ssmr_torch.commissioning.circles import circle_about, reach, tracked_outputs
 from ssmr_torch.commissioning.confirmation import Confirm, confirmation, ended_in_order
-from ssmr_torch.commissioning.directory import REPORT, BenchDirectory
+from ssmr_torch.commissioning.directory import REPORT, CommissioningDirectory
 from ssmr_torch.commissioning.gathering import gather, recorded_share
-from ssmr_torch.commissioning.guard import GuardedPlant, SafetyStop
 from ssmr_torch.commissioning.noise import measure_noise, noise_faults, noise_said
 from ssmr_torch.commissioning.report import FIGURES, TITLES, written
+from ssmr_torch.commissioning.robot_card import RobotCard, fitted, read_robot_card
+from ssmr_torch.commissioning.safety_guard import GuardedPlant, SafetyStop
 from ssmr_torch.commissioning.steps import measure_steps
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.settings import Settings, positive, whole
@@ -59,12 +59,12 @@ class CommissioningSettings(Settings):
 SETTINGS = CommissioningSettings()
 
 
-def commission(plant: Plant, card: BenchCard | str | Path, directory: str | Path, *, excitation: Callable | None = None,
+def commission(plant: Plant, card: RobotCard | str | Path, directory: str | Path, *, excitation: Callable | None = None,
                confirm: str | Confirm = "ask", design: Callable | None = None, load: Callable | None = None,
                settings: CommissioningSettings = SETTINGS, **changes) -> list[str]:
     """Commission a robot; the same call in the same directory goes on after the last confirmed step.
 
-    plant: any `Plant`, such as `plants.RemotePlant`.   card: a `BenchCard`, or the file of one.
+    plant: any `Plant`, such as `plants.RemotePlant`.   card: a `RobotCard`, or the file of one.
     excitation: (plant, directory=, workers=) → dataset; None: excitation=five_minutes of the configuration.
     confirm: "ask", "yes", or (step, text, faults) → bool; False ends the call, and the step is not recorded as done.
     design: (kind, data, task, bounds) → what has a `report` and `save(folder)`; None: `ssmr_torch.design`.
@@ -75,9 +75,9 @@ def commission(plant: Plant, card: BenchCard | str | Path, directory: str | Path
     not fit the robot or the directory, SafetyStop when a limit is exceeded in any step but the collection, which
     offers smaller inputs. However it ends, the input goes back to neutral.
     """
-    card = fitted(card if isinstance(card, BenchCard) else read_bench_card(card), plant)
-    work = Commissioning(plant, card, BenchDirectory(directory), confirmation(confirm), excitation or _five_minutes(),
-                         design or _design, load or _load, settings.changed(**changes))
+    card = fitted(card if isinstance(card, RobotCard) else read_robot_card(card), plant)
+    work = Commissioning(plant, card, CommissioningDirectory(directory), confirmation(confirm),
+                         excitation or _five_minutes(), design or _design, load or _load, settings.changed(**changes))
     with ended_in_order():
         return work.go_on()
 
@@ -85,8 +85,8 @@ def commission(plant: Plant, card: BenchCard | str | Path, directory: str | Path
 class Commissioning:
     """One call of `commission`; every method named after a step returns what is to be shown and its faults."""
 
-    def __init__(self, plant: Plant, card: BenchCard, directory: BenchDirectory, confirm: Confirm, excitation: Callable,
-                 design: Callable, load: Callable, settings: CommissioningSettings):
+    def __init__(self, plant: Plant, card: RobotCard, directory: CommissioningDirectory, confirm: Confirm,
+                 excitation: Callable, design: Callable, load: Callable, settings: CommissioningSettings):
         self.plant, self.card, self.directory, self.confirm = plant, card, directory, confirm
         self.excitation, self.design, self.load, self.settings = excitation, design, load, settings
 

@@ -15,7 +15,7 @@ import numpy as np
 from ssmr_torch import __version__
 from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.collection.resumption import COMPLETE, FOLDER, discard_recorded
-from ssmr_torch.commissioning.card import BenchCard, changed_keys, read_bench_card
+from ssmr_torch.commissioning.robot_card import RobotCard, changed_keys, read_robot_card
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
@@ -24,7 +24,7 @@ SOURCE = "commissioning"
 RUNS = "collected"  # one folder for each share of the input range
 
 
-class BenchDirectory:
+class CommissioningDirectory:
     """Files under one path, each written aside and renamed."""
 
     def __init__(self, path: str | Path):
@@ -61,10 +61,10 @@ class BenchDirectory:
     def has(self, name: str) -> bool:
         return (self.path / name).exists()
 
-    def keep_card(self, card: BenchCard) -> None:
+    def keep_card(self, card: RobotCard) -> None:
         """Write card.yaml. Raises ValueError where another card's measurements are here; limits may change."""
         if self.confirmed() and self.has(CARD):
-            differences = changed_keys(read_bench_card(self.path / CARD), card)
+            differences = changed_keys(read_robot_card(self.path / CARD), card)
             if differences:
                 raise ValueError(f"{self.path} belongs to another card: {differences[0]}; choose another directory, or "
                                  "remove it if it is no longer needed")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ssmr_torch.collection.resumption import COMPLETE
-from ssmr_torch.commissioning.directory import BenchDirectory, dataset_of
-from ssmr_torch.commissioning.guard import GuardedPlant, SafetyStop
+from ssmr_torch.commissioning.directory import CommissioningDirectory, dataset_of
+from ssmr_torch.commissioning.safety_guard import GuardedPlant, SafetyStop
 from ssmr_torch.trajectory import TrajectoryDataset
 
 NARROWER = 0.75   # of the share of the input range, after each stop
@@ -14,7 +14,7 @@ LEAST = 0.05      # of the range; below that something else is wrong
 NOTE = "collection.json"
 
 
-def gather(plant: GuardedPlant, excitation: Callable, directory: BenchDirectory, share: float,
+def gather(plant: GuardedPlant, excitation: Callable, directory: CommissioningDirectory, share: float,
            go_on: Callable[[str], bool]) -> TrajectoryDataset | None:
     """All runs of the excitation, in trajectories.h5; what a kill left is taken up, run by run.
 
@@ -51,6 +51,6 @@ def gather(plant: GuardedPlant, excitation: Callable, directory: BenchDirectory,
     return directory.trajectories()
 
 
-def recorded_share(directory: BenchDirectory) -> float:
+def recorded_share(directory: CommissioningDirectory) -> float:
     """The share of the input range that was recorded last."""
     return float(directory.read_json(NOTE)["share"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssmr_torch.commissioning.guard import GuardedPlant
+from ssmr_torch.commissioning.safety_guard import GuardedPlant
 
 SETTLING = 0.2   # of the run, left out
 APART = 0.01     # of the displacement limit, that the neutral position may lie beside the zero of the observation

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from ssmr_torch.commissioning.guard import GuardedPlant
+from ssmr_torch.commissioning.safety_guard import GuardedPlant
 
 FIRST, LAST = 1 / 32, 1 / 2      # of the way to the farther bound: the smallest and the largest step
 SEEN, LOUD = 6.0, 30.0           # standard deviations of noise: an answer; one from which times can be told

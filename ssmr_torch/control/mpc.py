@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Sequence
 from math import inf, isfinite, sqrt
 from time import thread_time
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ssmr_torch import data_sheet as sheet
 from ssmr_torch.control.actuator import ActuatorState
@@ -25,6 +28,11 @@ from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.keywords import configurable
 from ssmr_torch.periods import whole_steps
 from ssmr_torch.status import Status
+
+if TYPE_CHECKING:
+    from ssmr_torch.models.base import Model
+    from ssmr_torch.tasks.references import Task
+    from ssmr_torch.trained_model import TrainedModel
 
 # A reference that differs by more than this from the one planned for is a new one, m.
 REFERENCE_CHANGE = 1e-6
@@ -56,8 +64,9 @@ class ModelPredictiveController(DataSheet):
     """
 
     @configurable(PredictiveControlSettings, given=("settings", "timestep", "output_names", "solver"))
-    def __init__(self, model, task, input_bounds, settings: PredictiveControlSettings | None = None, *,
-                 timestep: float | None = None, output_names=None, solver=None, **changes):
+    def __init__(self, model: Model | TrainedModel, task: Task, input_bounds: npt.ArrayLike,
+                 settings: PredictiveControlSettings | None = None, *, timestep: float | None = None,
+                 output_names: Sequence[str] | None = None, solver: Any = None, **changes: Any):
         if not isinstance(settings, PredictiveControlSettings | None) or not hasattr(model, "reduced"):
             raise TypeError(f"model is a {type(model).__name__}, settings a {type(settings).__name__}; "
                             "expected a model, as ssmr_torch.load returns it, and PredictiveControlSettings")

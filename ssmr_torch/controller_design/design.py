@@ -8,8 +8,10 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.designed import DesignedController
@@ -35,6 +37,9 @@ from ssmr_torch.provenance import provenance
 from ssmr_torch.trained_model import TrainedModel
 from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 
+if TYPE_CHECKING:
+    from ssmr_torch.tasks.references import Task
+
 MARGIN_QUANTILE = 0.95   # of the held-out errors, by which constraints are tightened
 DISBELIEF = 1.2      # times the error without an actuator: one with which the best model misses by more is not believed
 LOOPS = 300          # steps of the bar: designs whose margins are looked at, and loops against the twin
@@ -55,8 +60,8 @@ class Designed:
         return self.controller.save(folder)
 
 
-def design(model, data: TrajectoryDataset, task, bounds, *, identified: Actuator | None = None,
-           progress: bool | None = None) -> Designed:
+def design(model: str | TrainedModel | None, data: TrajectoryDataset, task: Task, bounds: npt.ArrayLike, *,
+           identified: Actuator | None = None, progress: bool | None = None) -> Designed:
     """A controller for the task from recordings alone; no closed loop of the robot is needed.
 
     1. Delay, lag, friction and rate limit of the actuators, by what a cheap model predicts of held-out runs.

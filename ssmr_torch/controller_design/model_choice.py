@@ -33,7 +33,7 @@ class ChosenModel:
 
     model: Model
     error: float
-    twin: PolynomialModel
+    twin: Model
     twin_error: float
     words: str
     twin_words: str

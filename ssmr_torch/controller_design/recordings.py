@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
@@ -96,7 +97,7 @@ class Recordings:
         return replace(self, train=acted(self.train), held=acted(self.held))
 
 
-def recordings_of(data: TrajectoryDataset, tracked: Sequence[int], bounds: np.ndarray) -> Recordings:
+def recordings_of(data: TrajectoryDataset, tracked: Sequence[int], bounds: npt.ArrayLike) -> Recordings:
     """Of the dataset's training and validation runs; test runs are never looked at.
 
     Raises ValueError where nothing can be told from them: no controlled run, none that could be held out, an input

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -12,6 +13,9 @@ from ssmr_torch.control.actuator import ActuatorState
 from ssmr_torch.control.stepping import Stepper
 from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.tasks.references import Task
+
+if TYPE_CHECKING:
+    from ssmr_torch.control.mpc import ModelPredictiveController
 
 POINTS = 60            # along the path, at which the static floor is sought
 ITERATIONS = 8         # of the search for the inputs that hold a point
@@ -50,7 +54,7 @@ class Rehearsal(DataSheet):
             "fastest": "not at half the speed" if self.fastest is None else f"{self.fastest:g} times the speed"}
 
 
-def rehearse(controller, task: Task | None = None) -> Rehearsal:
+def rehearse(controller: ModelPredictiveController, task: Task | None = None) -> Rehearsal:
     """Run a task (None: the controller's own) on the controller's model, and seek the inputs that hold its points.
 
     The static floor is the least distance to each point at rest, over all inputs within the bounds, by Gauss-Newton

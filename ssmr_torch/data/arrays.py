@@ -7,6 +7,7 @@ import logging
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from ssmr_torch.data.recording import Recording, assemble
 from ssmr_torch.data.sampling import SamplingRule
@@ -15,12 +16,16 @@ from ssmr_torch.trajectory import TrajectoryDataset
 
 logger = logging.getLogger(__name__)
 
+# Runs (t, y, u), or a mapping that names them.
+Runs = Sequence[Sequence] | Mapping[str, Sequence]
+
 ENDS = 10           # last samples of a decay whose median is where it ends
 FAR, ASTRAY = 0.1, 1.0  # of a decay's own extent: ends farther from zero are said, or refused
 
 
-def trajectories(*, decays=(), controlled=(), validation=(), test=(), output_names: Sequence[str] | None = None,
-                 input_names: Sequence[str] | None = None, units: Mapping[str, str] | None = None, rest=None,
+def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs = (), test: Runs = (),
+                 output_names: Sequence[str] | None = None, input_names: Sequence[str] | None = None,
+                 units: Mapping[str, str] | None = None, rest: npt.ArrayLike | None = None,
                  timestep: float | None = None, missing: str = "refuse", minimum_length: int = 10,
                  range: Sequence[float] = Plausible.displacement, interval_range: Sequence[float] = Plausible.interval,
                  largest_input: float | None = None) -> TrajectoryDataset:
@@ -72,7 +77,7 @@ def trajectories(*, decays=(), controlled=(), validation=(), test=(), output_nam
         "Each input is held until the next sample and acts after the observation of its row."]}
     rule = SamplingRule("resample", timestep, missing=missing, minimum_length=minimum_length)
     return assemble(recordings, origin, output_names, input_names, measured, rule, provenance,
-                    Plausible(tuple(range), tuple(interval_range), largest_input))
+                    Plausible((range[0], range[1]), (interval_range[0], interval_range[1]), largest_input))
 
 
 def _runs(given: Mapping) -> list[_Columns]:
@@ -92,8 +97,8 @@ class _Columns:
 
     def __init__(self, name: str, part: str, time, observation, inputs=None):
         self.name, self.part = name, part
-        self.observation, self.input = (None if each is None else _table(each, f"{name}: {what}")
-                                        for each, what in ((observation, "y"), (inputs, "u")))
+        self.observation = _table(observation, f"{name}: y")
+        self.input = None if inputs is None else _table(inputs, f"{name}: u")
         if inputs is None and part in ("controlled", "validation"):
             raise ValueError(f"{name} has no inputs; expected (t, y, u)")
         self.time = np.asarray(time.to_numpy() if hasattr(time, "to_numpy") else time)
@@ -175,10 +180,6 @@ def _chosen(table, array: np.ndarray, names: Sequence[str], run: str) -> np.ndar
 def _known_units(units: Mapping[str, str] | None) -> dict[str, str]:
     if not isinstance(units, Mapping | None):
         raise ValueError(f"units is {units!r}; expected a mapping, such as "
-                         "{'length': 'mm', 'input': 'N', 'time': 's'}")
-    unknown = [key for key in units or {} if key not in ("length", "input", "time")]
-    if unknown:
-        raise ValueError(f"units has the unknown key {unknown[0]!r}; expected length, input, time, such as "
                          "{'length': 'mm', 'input': 'N', 'time': 's'}")
     return dict(units or {})
 

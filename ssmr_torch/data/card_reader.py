@@ -7,23 +7,23 @@ from pathlib import Path
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ssmr_torch.data.csv_and_hdf5 import pick, read_columns
+from ssmr_torch.data.column_files import pick, read_columns
 from ssmr_torch.data.recording import Recording, assemble, fingerprint, refuse_wrong_clock
-from ssmr_torch.data.recording_card import Card, read_card
+from ssmr_torch.data.recording_card import RecordingCard, read_recording_card
 from ssmr_torch.data.sampling import SamplingRule
 from ssmr_torch.data.units import Plausible
 from ssmr_torch.trajectory import TrajectoryDataset
 
 
 def custom(card: str | Path) -> TrajectoryDataset:
-    """Runs in CSV or HDF5 files that a YAML card describes (`Card`); files are relative to the card.
+    """Runs in CSV or HDF5 files that a YAML card describes (`RecordingCard`); files are relative to the card.
 
     A run is a file, or the rows of a file with one value in the run column; its name is the stem of the file,
     with ":value" behind it for a run column.
     Raises FileNotFoundError, or ValueError for a wrong card or recordings that do not fit it.
     """
     path = Path(card)
-    described = read_card(path)
+    described = read_recording_card(path)
     files = [path.parent / name for name in described.files]
     tables = _tables(files, described)
     _refuse_unknown_runs(described, [name for name, _ in tables])
@@ -44,7 +44,7 @@ def custom(card: str | Path) -> TrajectoryDataset:
                     provenance, plausible)
 
 
-def _tables(files: list[Path], card: Card) -> list[tuple[str, np.ndarray]]:
+def _tables(files: list[Path], card: RecordingCard) -> list[tuple[str, np.ndarray]]:
     """Name and columns [time, observations, inputs] of each run, in the units of the file."""
     clock = [] if card.columns.time is None else [card.columns.time]
     wanted = [*clock, *card.columns.observation, *card.columns.input]
@@ -69,7 +69,7 @@ def _tables(files: list[Path], card: Card) -> list[tuple[str, np.ndarray]]:
     return tables
 
 
-def _recording(name: str, values: np.ndarray, card: Card) -> Recording:
+def _recording(name: str, values: np.ndarray, card: RecordingCard) -> Recording:
     outputs = len(card.columns.observation)
     if isinstance(card.seams, dict):
         rows = card.seams.get(name, [])
@@ -82,7 +82,7 @@ def _recording(name: str, values: np.ndarray, card: Card) -> Recording:
         "auto" if card.seams == "auto" else tuple(rows))
 
 
-def _rest(recordings: list[Recording], card: Card) -> tuple[np.ndarray, str]:
+def _rest(recordings: list[Recording], card: RecordingCard) -> tuple[np.ndarray, str]:
     """Rest position in m, and in words how it was found."""
     if not isinstance(card.rest, str):
         rest = np.array(card.rest, dtype=np.float64) * card.units.scale("length")
@@ -122,7 +122,7 @@ def _resting_samples(recording: Recording, still: float = 0.01, duration: float 
     return y[window - 1:][calm & idle]
 
 
-def _refuse_unknown_runs(card: Card, names: list[str]) -> None:
+def _refuse_unknown_runs(card: RecordingCard, names: list[str]) -> None:
     named = {"decays": card.decays, "centred": card.centred,
              **{f"split.{split}": runs for split, runs in card.split.items()},
              "seams": list(card.seams) if isinstance(card.seams, dict) else []}

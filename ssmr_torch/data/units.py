@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+from pydantic import BeforeValidator, Field
+
+from ssmr_torch.data.card_file import Card, not_as_described
 
 UNITS = {"length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3}, "input": {"N": 1.0, "mN": 1e-3, "1": 1.0},
          "time": {"s": 1.0, "ms": 1e-3}}
@@ -11,20 +16,23 @@ COLUMNS = {"length": "observations", "input": "inputs", "time": "times"}
 CARD_KEYS = {"length": "range", "input": "largest_input", "time": "interval_range"}
 
 
-@dataclass(frozen=True)
-class Units:
+def _unit_of(key: str):
+    def known(value):
+        if str(value) not in UNITS[key]:
+            raise not_as_described()
+        return str(value)  # YAML reads 1 as a number
+
+    return Annotated[str, BeforeValidator(known), Field(description=f"one of {list(UNITS[key])}")]
+
+
+class Units(Card):
     """Units of the file; everything becomes m, N and s. Input "1" stands for normalized commands."""
 
-    length: str
-    input: str = "N"
-    time: str = "s"
+    part: ClassVar[str] = "units"
 
-    def __post_init__(self):
-        for key, known in UNITS.items():
-            value = str(getattr(self, key))
-            if value not in known:
-                raise ValueError(f"units.{key} is {value!r}; expected one of {list(known)}")
-            object.__setattr__(self, key, value)
+    length: _unit_of("length")
+    input: _unit_of("input") = "N"
+    time: _unit_of("time") = "s"
 
     @property
     def input_inside(self) -> str:

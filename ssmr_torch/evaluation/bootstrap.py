@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,8 +27,9 @@ def mean_interval(values: Sequence[float], confidence: float = 0.95, seed: int =
     """Mean of n values and its bootstrap percentile interval, from the means of n values drawn with replacement.
 
     One value has no interval; an infinite one (a failed run) makes the mean infinite, without an interval. seed fixes
-    the draws. Of few values the interval is too short: those of 3, 5 and 10 normal ones hold the true mean in 76, 85
-    and 91 % of the cases. Raises ValueError without values, for NaN, or a confidence outside of 0 to 1.
+    the draws, which `scipy.stats.bootstrap` makes. Of few values the interval is too short: those of 3, 5 and 10 normal
+    ones hold the true mean in 76, 85 and 91 % of the cases. Raises ValueError without values, for NaN, or a confidence
+    outside of 0 to 1.
     """
     values = np.asarray(values, dtype=np.float64)
     if values.ndim != 1 or not len(values) or np.isnan(values).any() or not 0 < confidence < 1:
@@ -36,11 +37,7 @@ def mean_interval(values: Sequence[float], confidence: float = 0.95, seed: int =
                          f"{confidence}; expected (n,), n >= 1, none NaN, and a confidence between 0 and 1")
     if len(values) == 1 or not np.isfinite(values).all():
         return Interval(float(values.mean()), np.nan, np.nan)
-    rng, rows = np.random.default_rng(seed), max(1, VALUES_PER_BLOCK // len(values))
-    sizes = [min(rows, resamples - first) for first in range(0, resamples, rows)]
-    means = np.concatenate([values[rng.integers(len(values), size=(size, len(values)))].mean(axis=1)
-                            for size in sizes])
-    low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2])
+    low, high = _percentiles((values,), np.mean, confidence, seed, resamples)
     return Interval(float(values.mean()), float(low), float(high))
 
 
@@ -77,12 +74,26 @@ def difference_intervals(errors: np.ndarray, blocks: np.ndarray, reference: int,
     sums = np.stack([np.bincount(place, weights=each) for each in differences])
     low = high = np.full(len(sums), np.nan)
     if len(starts) >= FEWEST_BLOCKS:
-        draws = np.random.default_rng(seed).multinomial(len(starts), np.full(len(starts), 1 / len(starts)),
-                                                        size=resamples)
-        low, high = np.quantile((draws @ sums.T) / (draws @ starts)[:, None],
-                                [(1 - confidence) / 2, (1 + confidence) / 2], axis=0)
+        low, high = _percentiles((sums, np.broadcast_to(starts, sums.shape)), _mean_of_drawn, confidence, seed,
+                                 resamples)
     known = iter(map(Interval, map(float, differences.mean(axis=1)), map(float, low), map(float, high)))
     return [next(known) if each else Interval(np.inf, np.nan, np.nan) for each in finite]
+
+
+def _mean_of_drawn(sums: np.ndarray, starts: np.ndarray, axis: int) -> np.ndarray:
+    """Mean over the starts of the drawn blocks, from their sums and their numbers of starts."""
+    return sums.sum(axis=axis) / starts.sum(axis=axis)
+
+
+def _percentiles(samples: tuple[np.ndarray, ...], statistic: Callable, confidence: float, seed: int,
+                 resamples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Both ends of the percentile interval; all samples and their rows share the places that are drawn."""
+    from scipy.stats import bootstrap  # takes a second to import
+
+    found = bootstrap(samples, statistic, paired=True, axis=-1, n_resamples=resamples, confidence_level=confidence,
+                      method="percentile", batch=max(1, VALUES_PER_BLOCK // samples[0].size),
+                      rng=np.random.default_rng(seed))
+    return found.confidence_interval
 
 
 def rank(errors: np.ndarray, blocks: np.ndarray, **options) -> Ranking:

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.evaluation.predictors import Predictor, as_predictor, at_every_sample
+from ssmr_torch.models.predictors import Predictor, as_predictor, at_every_sample
 from ssmr_torch.periods import TOLERANCE, whole_multiple
 
 
-class Recording(NamedTuple):
+class JoinedRuns(NamedTuple):
     """Trajectories end to end: observation (Σ T, p) m, input (Σ T, m); offsets, lengths (R,) of each.
 
     timestep: sampling time, s. seen: (Σ T, p) m, what windows are cut from: the observation, or it with noise.
@@ -26,7 +26,7 @@ class Recording(NamedTuple):
     seen: np.ndarray
 
     @classmethod
-    def of(cls, trajectories: Iterable, seen: Iterable | None = None) -> Recording:
+    def of(cls, trajectories: Iterable, seen: Iterable | None = None) -> JoinedRuns:
         """Read all trajectories; seen: the same ones as windows are to show them, None for as they are.
 
         Raises ValueError when there is none or their sampling times differ.
@@ -46,25 +46,25 @@ class Recording(NamedTuple):
 
 
 class Forecaster:
-    """A predictor on a recording: (trajectory, sample) of N starts → predicted and measured outputs.
+    """A predictor on joined runs: (trajectory, sample) of N starts → predicted and measured outputs.
 
-    Outputs are compared at every sample of the recording, whatever the predictor's step: between two steps they are
+    Outputs are compared at every sample of the runs, whatever the predictor's step: between two steps they are
     interpolated, see `predictors.at_every_sample`.
     stride, window_stride: samples per step of the model and per delay of its window. reach: samples that its
     window needs before a start; margin: that, and one at least, for the velocity of a baseline. Raises ValueError
     when columns differ or a timestep is no whole multiple.
     """
 
-    def __init__(self, predictor: Predictor, recording: Recording):
-        for label, given, own in (("outputs", recording.observation.shape[1], predictor.output_dim),
-                                  ("inputs", recording.input.shape[1], predictor.input_dim)):
+    def __init__(self, predictor: Predictor, runs: JoinedRuns):
+        for label, given, own in (("outputs", runs.observation.shape[1], predictor.output_dim),
+                                  ("inputs", runs.input.shape[1], predictor.input_dim)):
             if own is not None and own != given:
                 raise ValueError(f"the trajectories have {given} {label}, the model {own}; "
                                  "give it the columns that it was fitted to")
-        self.recording = recording
+        self.runs = runs
         self.stride, self.window_stride = (
             whole_multiple(f"the model's {name}", getattr(predictor, name), "the trajectories' sampling time",
-                           recording.timestep, "use at_timestep, or resample the data")
+                           runs.timestep, "use at_timestep, or resample the data")
             for name in ("timestep", "window_timestep"))
         self.predictor = at_every_sample(predictor, self.stride)
         self.reach = predictor.delays * self.window_stride
@@ -77,20 +77,20 @@ class Forecaster:
         owner, sample, steps: (N,); the k-th output is k samples after the start. Nothing after a row's own last sample
         is read, neither of the inputs nor of another trajectory: padding repeats it.
         """
-        recording = self.recording
-        newest = recording.offsets[owner] + sample
+        runs = self.runs
+        newest = runs.offsets[owner] + sample
         window = newest[:, None] - self.window_stride * np.arange(self.predictor.delays, -1, -1)
         behind = window[:, :-1, None] + np.arange(self.window_stride)
         ahead = newest[:, None] + np.minimum(np.arange(steps.max()), steps[:, None] - 1)
-        predicted = self.predictor.predict(recording.seen[window], recording.input[behind].mean(axis=2),
-                                           recording.input[ahead])
-        return predicted, recording.observation[ahead + 1]
+        predicted = self.predictor.predict(runs.seen[window], runs.input[behind].mean(axis=2),
+                                           runs.input[ahead])
+        return predicted, runs.observation[ahead + 1]
 
 
 def noisy(runs: Iterable, noise: float, seed: int) -> list:
     """The runs (read ones) as the loop measures them: with white noise of the standard deviation `noise`, m.
 
-    It is drawn per sample of the recording, so that windows that share a sample, and all models, see the same.
+    It is drawn per sample of the runs, so that windows that share a sample, and all models, see the same.
     Raises ValueError for a noise that is negative or not finite.
     """
     if not (np.isfinite(noise) and noise >= 0):
@@ -107,7 +107,7 @@ def predict_trajectory(model, trajectory, *, margin: int | None = None) -> tuple
     the run is too short.
     """
     run = trajectory.read()
-    forecaster = Forecaster(as_predictor(model), Recording.of([run]))
+    forecaster = Forecaster(as_predictor(model), JoinedRuns.of([run]))
     start = forecaster.reach if margin is None else margin
     steps = run.length - 1 - start
     if start < forecaster.reach or steps < 1:

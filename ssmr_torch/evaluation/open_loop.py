@@ -13,10 +13,10 @@ import numpy as np
 
 from ssmr_torch.data.starts import starts_over
 from ssmr_torch.evaluation.horizon_scores import HorizonScore, OpenLoopScore
-from ssmr_torch.evaluation.measured_rollouts import Forecaster, Recording, noisy
+from ssmr_torch.evaluation.measured_rollouts import Forecaster, JoinedRuns, noisy
 from ssmr_torch.evaluation.metrics import rollout_nmte, rollout_rmse
-from ssmr_torch.evaluation.predictors import BASELINES, as_predictor
 from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
+from ssmr_torch.models.predictors import BASELINES, as_predictor
 
 HORIZONS = (0.05, 0.2, 1.0)
 SAMPLES_PER_BLOCK = 1 << 16
@@ -33,7 +33,7 @@ def score_open_loop(model, trajectories: Iterable, *, horizons: Sequence[float] 
     horizons: s. For each horizon, `starts` different samples are drawn at random, or all if there are fewer. A start
     has `margin` samples before it (default: as many as the window needs, at least 1) and the horizon after it in its
     trajectory. The draw depends on seed, margin and trajectories, not on the model. "full" is one rollout per
-    trajectory, from sample `margin` to the end. k counts samples of the recording for every model. If a step of the
+    trajectory, from sample `margin` to the end. k counts samples of the runs for every model. If a step of the
     model covers several samples, it takes the mean input over the step, and its outputs are interpolated linearly in
     between, beginning with the decoded initial state (`predictors.at_every_sample`).
     noise: standard deviation, m, of white noise added to the windows at the starts, as in closed loop. The score with
@@ -45,12 +45,12 @@ def score_open_loop(model, trajectories: Iterable, *, horizons: Sequence[float] 
     if noise is not None and not (math.isfinite(noise) and noise > 0):
         raise ValueError(f"noise is {noise} m; expected a positive standard deviation, or None for windows as measured")
     runs = [trajectory.read() for trajectory in trajectories]
-    recording, predictor = Recording.of(runs), as_predictor(model)
+    joined, predictor = JoinedRuns.of(runs), as_predictor(model)
     options = {"horizons": horizons, "starts": starts, "seed": seed, "margin": margin, "outputs": outputs}
-    score = _score(Forecaster(predictor, recording), **options)
+    score = _score(Forecaster(predictor, joined), **options)
     if noise is None:
         return score
-    measured = Forecaster(predictor, Recording.of(runs, noisy(runs, noise, seed)))
+    measured = Forecaster(predictor, JoinedRuns.of(runs, noisy(runs, noise, seed)))
     return replace(score, noisy=replace(_score(measured, **options), noise=float(noise)))
 
 
@@ -63,7 +63,7 @@ def score_horizons(forecaster: Forecaster, horizons: Sequence[float], *, starts:
     if margin < forecaster.margin:
         raise ValueError(f"margin is {margin} samples, but the model needs {forecaster.margin} samples before a start "
                          f"({forecaster.predictor.delays} delays of {forecaster.window_stride} samples)")
-    columns = _columns(outputs, forecaster.recording.observation.shape[1])
+    columns = _columns(outputs, forecaster.runs.observation.shape[1])
     return tuple(_score_horizon(forecaster, horizon, starts, seed, margin, columns) for horizon in horizons)
 
 
@@ -80,7 +80,7 @@ def compare_open_loop(models: Mapping[str, object], trajectories: Iterable, *, m
     runs = [trajectory.read() for trajectory in trajectories]
     if margin is None:
         margin = common_margin(models, runs)
-    timestep = Recording.of(runs).timestep
+    timestep = JoinedRuns.of(runs).timestep
     predictors = {**models, **{name: baseline(timestep) for name, baseline in BASELINES.items()}}
     return {name: score_open_loop(predictor, runs, margin=margin, **options)
             for name, predictor in predictors.items()}
@@ -88,29 +88,29 @@ def compare_open_loop(models: Mapping[str, object], trajectories: Iterable, *, m
 
 def common_margin(models: Mapping[str, object], runs: Sequence) -> int:
     """Samples before every start that the longest window of the models and baselines needs."""
-    recording = Recording.of(runs)
-    predictors = [*map(as_predictor, models.values()), *(each(recording.timestep) for each in BASELINES.values())]
-    return max(Forecaster(predictor, recording).reach for predictor in predictors)
+    joined = JoinedRuns.of(runs)
+    predictors = [*map(as_predictor, models.values()), *(each(joined.timestep) for each in BASELINES.values())]
+    return max(Forecaster(predictor, joined).reach for predictor in predictors)
 
 
 def _score(forecaster: Forecaster, *, horizons: Sequence[float], starts: int, seed: int, margin: int | None,
            outputs: Sequence[int] | None) -> OpenLoopScore:
     margin = forecaster.margin if margin is None else margin
-    columns = _columns(outputs, forecaster.recording.observation.shape[1])
+    columns = _columns(outputs, forecaster.runs.observation.shape[1])
     scores = score_horizons(forecaster, horizons, starts=starts, seed=seed, margin=margin, outputs=outputs)
     return OpenLoopScore((*scores, _score_full(forecaster, margin, columns)), margin, seed, tuple(columns.tolist()))
 
 
 def _score_horizon(forecaster: Forecaster, horizon: float, starts: int, seed: int, margin: int,
                    columns: np.ndarray) -> HorizonScore:
-    recording = forecaster.recording
-    owner, sample, steps = starts_over(recording.lengths, horizon, recording.timestep, margin=margin, count=starts,
+    joined = forecaster.runs
+    owner, sample, steps = starts_over(joined.lengths, horizon, joined.timestep, margin=margin, count=starts,
                                        seed=seed)
     return _rolled_out(forecaster, _label(horizon), owner, sample, np.full(len(owner), steps), columns, margin + steps)
 
 
 def _score_full(forecaster: Forecaster, margin: int, columns: np.ndarray) -> HorizonScore:
-    lengths = forecaster.recording.lengths
+    lengths = forecaster.runs.lengths
     steps = lengths - 1 - margin
     owner = np.flatnonzero(steps >= 1)
     if not len(owner):
@@ -122,10 +122,10 @@ def _score_full(forecaster: Forecaster, margin: int, columns: np.ndarray) -> Hor
 def _rolled_out(forecaster: Forecaster, label: str, owner: np.ndarray, sample: np.ndarray, steps: np.ndarray,
                 columns: np.ndarray, needed: int) -> HorizonScore:
     """The score of these starts. Trajectories of up to `needed` samples count as too short."""
-    recording, longest = forecaster.recording, int(steps.max())
-    short = tuple(np.flatnonzero(recording.lengths <= needed).tolist())
+    joined, longest = forecaster.runs, int(steps.max())
+    short = tuple(np.flatnonzero(joined.lengths <= needed).tolist())
     errors, output_errors, trajectory_errors = _errors(forecaster, owner, sample, steps, columns)
-    return HorizonScore(label, longest, longest * recording.timestep, errors, output_errors, len(short),
+    return HorizonScore(label, longest, longest * joined.timestep, errors, output_errors, len(short),
                         trajectory_errors, owner, sample, short)
 
 
@@ -135,9 +135,9 @@ def _errors(forecaster: Forecaster, owner: np.ndarray, sample: np.ndarray, steps
 
     They are computed in blocks, to limit the memory.
     """
-    recording = forecaster.recording
-    bound = DIVERGENCE_FACTOR * np.linalg.norm(recording.observation, axis=-1).max()
-    sizes = np.maximum.reduceat(np.linalg.norm(recording.observation[:, columns], axis=-1), recording.offsets)
+    joined = forecaster.runs
+    bound = DIVERGENCE_FACTOR * np.linalg.norm(joined.observation, axis=-1).max()
+    sizes = np.maximum.reduceat(np.linalg.norm(joined.observation[:, columns], axis=-1), joined.offsets)
     rows = max(1, SAMPLES_PER_BLOCK // int(steps.max()))
     found = []
     for block in (slice(first, first + rows) for first in range(0, len(owner), rows)):

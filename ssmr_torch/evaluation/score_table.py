@@ -21,7 +21,7 @@ from ssmr_torch.evaluation.horizon_scores import OpenLoopScore
 from ssmr_torch.evaluation.open_loop import HORIZONS
 from ssmr_torch.evaluation.run_groups import GroupedScores, compare_groups
 from ssmr_torch.trained_model import TrainedModel
-from ssmr_torch.trajectory import refuse_other_data
+from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 
 
 class ScoreTable(Mapping):
@@ -85,8 +85,8 @@ class ScoreTable(Mapping):
                        for name, each in self._shown.items()) or sheet.html_columns(self.rows, self.caption)
 
 
-def score(model, data, *, split: str = "test", kind: str | None = "controlled", horizons: Sequence[float] = HORIZONS,
-          starts: int = 500, seed: int = 0, outputs: Sequence[str] | None = None,
+def score(model: object, data: TrajectoryDataset, *, split: str = "test", kind: str | None = "controlled",
+          horizons: Sequence[float] = HORIZONS, starts: int = 500, seed: int = 0, outputs: Sequence[str] | None = None,
           noise: float | None = None) -> ScoreTable:
     """Score a model, and persistence and constant velocity, by rollouts from the same measured starts of unseen runs.
 

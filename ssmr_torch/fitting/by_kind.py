@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import lightning
 import numpy as np
@@ -29,7 +30,7 @@ GROUPS = ("fit", "derivative", "plant", "trainer", "experiment")  # options that
 
 def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name: str | None = None,
         directory: str | Path | None = None, config_dir: str | Path | None = None, progress: bool | None = None,
-        **options) -> TrainedModel:
+        **options: Any) -> TrainedModel:
     """Fit a model to the training runs of a dataset, exactly as `ssmr train model=KIND` does, and score it.
 
     kind: a name of conf/model: "auto", a slow-fast model whose form is chosen from the training runs only (its options:
@@ -147,5 +148,7 @@ def _as_found() -> Iterator[None]:
         with warnings.catch_warnings():
             yield
     finally:
-        random.setstate(states[0]), np.random.set_state(states[1]), torch.set_rng_state(states[2])
+        random.setstate(states[0])
+        np.random.set_state(states[1])
+        torch.set_rng_state(states[2])
         log.setLevel(level)

@@ -10,6 +10,7 @@ import torch
 from ssmr_torch.deployment.checkpoint_twin import save_twin
 from ssmr_torch.fitting.lightning_fit import description
 from ssmr_torch.lazy import found
+from ssmr_torch.models.base import Model
 from ssmr_torch.models.torch_model import TorchModel
 
 DECISIVE = ("data", "outputs", "model", "module", "seed")
@@ -52,6 +53,12 @@ def load_model(checkpoint: str | Path) -> tuple[TorchModel, dict]:
     except (LookupError, TypeError, ValueError, RuntimeError, ImportError, AttributeError) as error:
         raise ValueError(f"{checkpoint} holds no model of this package ({error}); expected one written by "
                          "ssmr train") from error
+
+
+def load_arrays(checkpoint: str | Path) -> tuple[Model, dict]:
+    """The model of a checkpoint as arrays, as an artifact holds it, and the card; errors as of `load_model`."""
+    model, card = load_model(checkpoint)
+    return model.reduced.numpy(), card
 
 
 def check_resumable(directory: Path, steps: tuple[str, ...], origin: dict) -> None:

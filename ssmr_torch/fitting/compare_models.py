@@ -110,7 +110,7 @@ def _fitted(kind, name: str, data: TrajectoryDataset, trial: Trial | None, card:
     """The fitted model, and a text on what was chosen."""
     if isinstance(kind, TrainedModel):
         return kind, ""
-    if kind in KINDS:
+    if kind in KINDS and trial is not None:
         choice = choose_baseline(trial, kind)
         return _trained(choice, name, data, trial, card), str(choice)
     settings = {"fit.selection.noise": noise, "fit.selection.scored": scored,

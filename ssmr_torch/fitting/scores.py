@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from ssmr_torch.data.starts import ScoredRuns, samples_within
-from ssmr_torch.evaluation.measured_rollouts import Forecaster, Recording
+from ssmr_torch.evaluation.measured_rollouts import Forecaster, JoinedRuns
 from ssmr_torch.evaluation.open_loop import score_horizons
-from ssmr_torch.evaluation.predictors import BASELINES, as_predictor
+from ssmr_torch.models.predictors import BASELINES, as_predictor
 
 SHORTER = {"rmse_50ms": 0.05, "rmse_200ms": 0.2}  # s
 
@@ -28,13 +28,13 @@ def scores(model, scored: ScoredRuns) -> dict[str, float]:
     predict, so that they would dominate a common mean. Their scores are rmse_decays and diverged_decays.
     """
     judged, beside = _apart(model, scored)
-    forecaster = Forecaster(as_predictor(model), Recording.of(judged.runs, judged.seen))
-    timestep, found = forecaster.recording.timestep, {}
+    forecaster = Forecaster(as_predictor(model), JoinedRuns.of(judged.runs, judged.seen))
+    timestep, found = forecaster.runs.timestep, {}
     horizons = {"rmse": scored.horizon} | {name: seconds for name, seconds in SHORTER.items()
                                            if seconds < scored.horizon and samples_within(seconds, timestep)}
     baselines = {name: build(timestep) for name, build in BASELINES.items()}
     for name, each in {"": forecaster.predictor, **baselines}.items():
-        found[name] = score_horizons(Forecaster(each, forecaster.recording), tuple(horizons.values()),
+        found[name] = score_horizons(Forecaster(each, forecaster.runs), tuple(horizons.values()),
                                      starts=scored.starts, seed=scored.seed, margin=forecaster.margin)
     values = {name: score.mean for name, score in zip(horizons, found[""])}
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -48,7 +48,7 @@ def scores(model, scored: ScoredRuns) -> dict[str, float]:
 def _of_decays(model, scored: ScoredRuns | None) -> dict[str, float]:
     if scored is None:
         return {}
-    forecaster = Forecaster(as_predictor(model), Recording.of(scored.runs, scored.seen))
+    forecaster = Forecaster(as_predictor(model), JoinedRuns.of(scored.runs, scored.seen))
     found = score_horizons(forecaster, (scored.horizon,), starts=scored.starts, seed=scored.seed)[0]
     return {"rmse_decays": found.mean, "diverged_decays": found.diverged}
 
@@ -58,7 +58,7 @@ def _apart(model, scored: ScoredRuns) -> tuple[ScoredRuns, ScoredRuns | None]:
 
     Without controlled runs, the decays come first, with None after them.
     """
-    needed = Forecaster(as_predictor(model), Recording.of(scored.runs, scored.seen)).margin
+    needed = Forecaster(as_predictor(model), JoinedRuns.of(scored.runs, scored.seen)).margin
     parts = []
     for decays in (False, True):
         chosen = [number for number, run in enumerate(scored.runs) if (run.kind == "decay") == decays]
@@ -78,7 +78,7 @@ def diverged_under_stress(model, scored: ScoredRuns, factor: float, speed: int) 
     def stressed(window, window_inputs, inputs):
         return predictor.predict(window, window_inputs, factor * hurried(inputs, speed))
 
-    forecaster = Forecaster(replace(predictor, predict=stressed), Recording.of(judged.runs, judged.seen))
+    forecaster = Forecaster(replace(predictor, predict=stressed), JoinedRuns.of(judged.runs, judged.seen))
     return score_horizons(forecaster, (scored.horizon,), starts=scored.starts, seed=scored.seed)[0].diverged
 
 

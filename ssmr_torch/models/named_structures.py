@@ -113,4 +113,3 @@ def koopman(*, scale: Array, A: Array, B: Array, N: Array, pregain: Array, set_p
     if len(pregain):
         return PregainModel(**tables, **plain, pregain=pregain, set_points=set_points)
     return PolynomialModel(**tables, **plain)
-

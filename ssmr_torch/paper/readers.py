@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ssmr_torch.data.csv_and_hdf5 import pick, read_columns
+from ssmr_torch.data.column_files import pick, read_columns
 from ssmr_torch.data.matlab import read_koopman_struct, read_ssmlearn_cells, read_vector
 from ssmr_torch.data.recording import Recording, assemble, fingerprint, rest_at_end
 from ssmr_torch.data.run_boundaries import check_seams, find_seams
@@ -69,7 +69,7 @@ def trunk_hardware(path: str | Path, *, train: Sequence[str] = ("controlled_1",)
         sources += files
     rule = SamplingRule("refuse", timestep, missing=missing, minimum_length=minimum_length)
     assumptions = _trunk_assumptions(controlled, ends, rest, decay_rest)
-    return assemble(decays + controlled, rest, MARKERS, _inputs(6), Units("m", "1"), rule,
+    return assemble(decays + controlled, rest, MARKERS, _inputs(6), Units(length="m", input="1"), rule,
                     _provenance("trunk_hardware", sources, assumptions))
 
 
@@ -123,7 +123,7 @@ def diamond_hardware(path: str | Path, *, decays: str = "decays.mat",
         recordings += _share(run, train_share, minimum_length)
         sources.append(folder / controlled)
     rule = SamplingRule(sampling, timestep, irregularity, missing, minimum_length)
-    return assemble(recordings, rest, names, _inputs(4), Units("mm", "1"), rule,
+    return assemble(recordings, rest, names, _inputs(4), Units(length="mm", input="1"), rule,
                     _provenance("diamond_hardware", sources, assumptions))
 
 
@@ -175,7 +175,7 @@ def _simulated(folder, reader, run, seam, splits, recordings, rest, static, miss
         assumptions.append(f"{len(points)} set points, the last {SET_POINT} samples of each input held for "
                            "1 s or more.")
     rule = SamplingRule("refuse", 0.01, missing=missing, minimum_length=SET_POINT)
-    return assemble(recordings, rest, TIP, _inputs(run.input.shape[1]), Units("mm", "mN"), rule,
+    return assemble(recordings, rest, TIP, _inputs(run.input.shape[1]), Units(length="mm", input="mN"), rule,
                     _provenance(reader, sources, assumptions))
 
 

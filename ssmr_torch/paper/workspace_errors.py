@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssmr_torch.data.starts import draw_starts, samples_within
-from ssmr_torch.evaluation.measured_rollouts import Recording
+from ssmr_torch.evaluation.measured_rollouts import JoinedRuns
 from ssmr_torch.evaluation.open_loop import HORIZONS, OpenLoopScore, compare_open_loop
 
 
@@ -31,9 +31,9 @@ def map_open_loop(models: Mapping[str, object], runs: Sequence, *, outputs: Sequ
     """
     runs = [run.read() for run in runs]
     scores = compare_open_loop(models, runs, horizons=horizons, starts=starts, seed=seed, outputs=outputs)
-    recording = Recording.of(runs)
+    joined = JoinedRuns.of(runs)
     margin = next(iter(scores.values())).margin
-    span = samples_within(horizons[0], recording.timestep)
-    owner, sample = draw_starts(recording.lengths, margin, span, starts, seed)
-    position = recording.observation[recording.offsets[owner] + sample][:, list(outputs)]
+    span = samples_within(horizons[0], joined.timestep)
+    owner, sample = draw_starts(joined.lengths, margin, span, starts, seed)
+    position = joined.observation[joined.offsets[owner] + sample][:, list(outputs)]
     return OpenLoopMap(scores, position, {name: scores[name].horizons[0].errors for name in models})

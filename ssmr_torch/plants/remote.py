@@ -12,7 +12,7 @@ import numpy as np
 
 from ssmr_torch.plants.base import PlantSheet, finite_vector
 from ssmr_torch.wire.link import ControllerLink
-from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotCard, read_card, unpack
+from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotDescription, read_description, unpack
 from ssmr_torch.wire.stream import MeasurementStream, Place
 
 log = logging.getLogger(__name__)
@@ -38,10 +38,10 @@ class RemotePlant(PlantSheet):
         self.stamp = np.nan
         self._link = ControllerLink(bind)
         self._run, self._peer, self._sender = randbits(32), b"", b""
-        self._card = self._meet()
-        self.name, self.timestep, self.rest = self._card.name, self._card.timestep, self._card.rest
-        self.input_bounds, self.input_unit = self._card.input_bounds, self._card.input_unit
-        self.output_names, self.input_names = self._card.output_names, self._card.input_names
+        self._described = self._meet()
+        self.name, self.timestep, self.rest = self._described.name, self._described.timestep, self._described.rest
+        self.input_bounds, self.input_unit = self._described.input_bounds, self._described.input_unit
+        self.output_names, self.input_names = self._described.output_names, self._described.input_names
         self._last = np.zeros(len(self.output_names))
         self._stream = self._new_stream()
         self._pending: Message | None = None
@@ -81,33 +81,33 @@ class RemotePlant(PlantSheet):
             self.reset()
         self._command = Message(Kind.COMMAND, self._run, self._stream.next - 1, values=u)
         self._tell(self._command)
-        return self._next(self._due if self._card.real_time else monotonic() + self.patience)
+        return self._next(self._due if self._described.real_time else monotonic() + self.patience)
 
     def _new_stream(self) -> MeasurementStream:
-        span = self.timeout if self._card.real_time else self.patience
-        return MeasurementStream(len(self._card.output_names), self._card.timestep,
-                                 max(1, round(span / self._card.timestep)), self.counts)
+        span = self.timeout if self._described.real_time else self.patience
+        return MeasurementStream(len(self._described.output_names), self._described.timestep,
+                                 max(1, round(span / self._described.timestep)), self.counts)
 
     def _tell(self, message: Message) -> None:
         self._link.send(self._peer, message)
         if message.kind is Kind.START:
             self._current.peer, self._current.run = self._peer, self._run
 
-    def _meet(self) -> RobotCard:
+    def _meet(self) -> RobotDescription:
         log.info("waiting for a robot at %s", self._link.endpoint)
         until = monotonic() + self.wait
         while (message := self._receive(until)) is not None:
             if message.kind is Kind.HELLO:
-                return self._card_of(message)
+                return self._description_of(message)
             # A robot in a run of a driver that is gone: this makes it say HELLO.
             self._link.send(self._sender, Message(Kind.END, message.run, status=Code.OTHER, text="no such run"))
         self._link.close()
         raise TimeoutError(f"no robot came to {self.bind} within {self.wait:g} s; start ssmr serve-plant "
                            "with connect=tcp://THIS_MACHINE:PORT, and check the address")
 
-    def _card_of(self, message: Message) -> RobotCard:
+    def _description_of(self, message: Message) -> RobotDescription:
         try:
-            return read_card(message.text)
+            return read_description(message.text)
         except ValueError as error:
             self._link.send(self._peer, Message(Kind.REFUSE, text=str(error)))
             raise
@@ -134,7 +134,7 @@ class RemotePlant(PlantSheet):
         """The observation of the next sample, NaN when a real-time robot's does not come until then."""
         message = self._pending if self._pending is not None else self._await(until)
         if message is None:
-            if not (self._card.real_time and self._stream.begun) or monotonic() - self._heard > self.timeout:
+            if not (self._described.real_time and self._stream.begun) or monotonic() - self._heard > self.timeout:
                 raise ConnectionError(f"the robot {self.name!r} is silent: no measurement {self._stream.next}; "
                                       "see what became of it and start both again")
             self._due += self.timestep
@@ -167,7 +167,7 @@ class RemotePlant(PlantSheet):
                 self._due = self._heard + self.timestep + slack
                 if place is Place.NEXT:
                     return message
-                if place is Place.PAST and self._card.real_time:
+                if place is Place.PAST and self._described.real_time:
                     until = max(until, self._due)
                 if place is Place.AGAIN and self._command.run == self._run:
                     self._tell(self._command)
@@ -176,8 +176,8 @@ class RemotePlant(PlantSheet):
     def _greet_again(self, message: Message) -> None:
         if self._stream.next:
             raise ConnectionError(f"the robot {self.name!r} began anew in the midst of a run; run this again")
-        if message.text != self._card.text and self._card_of(message).text != self._card.text:
-            text = f"this run began with {self._card.text}, now the robot is {message.text}; restart the driver"
+        if message.text != self._described.text and self._description_of(message).text != self._described.text:
+            text = f"this run began with {self._described.text}, now the robot is {message.text}; restart the driver"
             self._link.send(self._peer, Message(Kind.REFUSE, text=text))
             raise ValueError(text)
         self._tell(self._start)

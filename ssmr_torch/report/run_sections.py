@@ -14,7 +14,7 @@ from ssmr_torch.evaluation import figures
 from ssmr_torch.evaluation.measured_rollouts import predict_trajectory
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.evaluation.open_loop import OpenLoopScore
-from ssmr_torch.evaluation.predictors import BASELINES
+from ssmr_torch.models.predictors import BASELINES
 from ssmr_torch.plants.emulated_rig import Rig
 from ssmr_torch.report.html_page import Picture, Section, Table
 

@@ -107,7 +107,7 @@ Glyph = tuple[str, tuple[list[np.ndarray], float]]  # a character, its closed co
 
 
 def _package_glyphs(text: str, steps: int) -> Iterator[Glyph]:
-    """The characters of the text for which the package has outlines (experiments/fonts/make_outlines.py)."""
+    """The characters of the text for which the package has outlines (tools/make_outlines.py)."""
     fractions = np.arange(1, steps + 1)[:, None] / steps
     for line in files("ssmr_torch.tasks").joinpath("dejavu_sans.txt").read_text(encoding="utf-8").splitlines():
         if line[1:2] != "\t" or line[0] not in text:

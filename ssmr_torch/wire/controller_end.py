@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotCard, read_card, unpack
+from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotDescription, read_description, unpack
 from ssmr_torch.wire.stream import MeasurementStream, Place
 
 log = logging.getLogger(__name__)
@@ -36,7 +36,7 @@ class Reply(NamedTuple):
 class ControllerEnd:
     """Answers robots, one at a time, with the commands of a controller.
 
-    build: RobotCard → Controller; its ValueError is what the robot is refused with.
+    build: RobotDescription → Controller; its ValueError is what the robot is refused with.
     duration: s after which a run is over, None for never.
     deadline: s after a measurement of a real-time robot was due when the controller goes on without it; default half
     of the robot's timestep.   timeout: s without a measurement after which a real-time robot is taken for dead.
@@ -45,11 +45,11 @@ class ControllerEnd:
     A missing measurement is to the controller a vector of NaN, as of a rig with `dropped=missing`: the model
     predictive controller answers it with the next input of its last plan, then with the safe one, within bounds and
     rate. When a robot dies the controller is reset and waits for the next.
-    card, samples: robot and samples of the run now, or of the last one.   counts: of messages, and of lost robots, over
-    all runs (docs/wire.md).   finished: runs that the task or the robot ended.
+    description, samples: robot and samples of the run now, or of the last one.   counts: of messages, and of lost
+    robots, over all runs (docs/wire.md).   finished: runs that the task or the robot ended.
     """
 
-    def __init__(self, build: Callable[[RobotCard], object], *, duration: float | None = None,
+    def __init__(self, build: Callable[[RobotDescription], object], *, duration: float | None = None,
                  deadline: float | None = None, timeout: float = 0.5, patience: float = 60.0, seed: int | None = 0):
         if not (timeout > 0 and patience > 0 and (deadline is None or deadline >= 0)):
             raise ValueError(f"deadline is {deadline} s, timeout {timeout} s and patience {patience} s; "
@@ -58,7 +58,7 @@ class ControllerEnd:
         self.timeout, self.patience = float(timeout), float(patience)
         self.counts: Counter[str] = Counter()
         self.finished = 0
-        self.card: RobotCard | None = None
+        self.description: RobotDescription | None = None
         self.samples: list[Sample] = []
         self.controller = None
         self._peer: bytes | None = None
@@ -105,7 +105,7 @@ class ControllerEnd:
             if now - self._heard >= limit:
                 self.counts["lost_robots"] += 1
                 return replies + self.end(f"no measurement for {limit:g} s")
-            self._due += self.card.timestep
+            self._due += self.description.timestep
             replies += self._decide(self._stream.skip(), np.full(self._stream.outputs, np.nan), missed=True)
         return replies
 
@@ -121,7 +121,7 @@ class ControllerEnd:
 
     @property
     def _paced(self) -> bool:
-        return self.card.real_time and self._stream.begun
+        return self.description.real_time and self._stream.begun
 
     def _stop(self, finished: bool) -> None:
         self.controller.reset()
@@ -135,24 +135,24 @@ class ControllerEnd:
         if self.running and peer != self._peer:
             self.counts["foreign"] += 1
             return [Reply(peer, Message(Kind.REFUSE, status=Code.BUSY,
-                                        text=f"the controller is busy with the robot {self.card.name!r}"))]
+                                        text=f"the controller is busy with the robot {self.description.name!r}"))]
         if self.running:
             self.counts["lost_robots"] += 1
             self._stop(finished=False)
         try:
-            card = read_card(message.text)
-            controller = self.build(card)
+            robot = read_description(message.text)
+            controller = self.build(robot)
         except ValueError as error:
             self.counts["refused"] += 1
             log.warning("refused a robot: %s", error)
             return [Reply(peer, Message(Kind.REFUSE, text=str(error)))]
         controller.reset()
-        self.card, self.controller, self.samples = card, controller, []
-        span = self.timeout if card.real_time else self.patience
-        self._stream = MeasurementStream(len(card.output_names), card.timestep, max(1, round(span / card.timestep)),
+        self.description, self.controller, self.samples = robot, controller, []
+        span = self.timeout if robot.real_time else self.patience
+        self._stream = MeasurementStream(len(robot.output_names), robot.timestep, max(1, round(span / robot.timestep)),
                                          self.counts)
         self._peer, self._run, self._heard = peer, (self._run + 1) % 2**32, now
-        log.info("a run with %s begins", card.name)
+        log.info("a run with %s begins", robot.name)
         return [self._start()]
 
     def _start(self) -> Reply:
@@ -172,7 +172,7 @@ class ControllerEnd:
         # A late measurement tells as well how long the way is now; due is when the one after it should be here.
         ahead = message.sequence + 1 - self._stream.next
         if place is Place.NEXT or ahead == 0:
-            self._due = now + self.card.timestep + self._slack
+            self._due = now + self.description.timestep + self._slack
         if place is Place.BEYOND:
             self.counts["lost_robots"] += 1
             return self.end(f"measurement {message.sequence} came after {self._stream.next - 1}: too many are missing")
@@ -187,7 +187,7 @@ class ControllerEnd:
 
     @property
     def _slack(self) -> float:
-        return 0.5 * self.card.timestep if self.deadline is None else self.deadline
+        return 0.5 * self.description.timestep if self.deadline is None else self.deadline
 
     def _ask(self, time: float, observation: np.ndarray) -> Sample:
         start = perf_counter()
@@ -198,12 +198,12 @@ class ControllerEnd:
 
     def prepare(self) -> None:
         """When an input has been sent to a robot that does not wait: what can be done before its next measurement."""
-        if self.card is not None and self.card.real_time:
+        if self.description is not None and self.description.real_time:
             getattr(self.controller, "prepare", lambda: None)()
 
     def _decide(self, time: float, observation: np.ndarray, missed: bool) -> list[Reply]:
         sample, number = self._ask(time, observation), self._stream.next - 1
-        if self.duration is not None and number >= np.ceil(self.duration / self.card.timestep - 1e-9):
+        if self.duration is not None and number >= np.ceil(self.duration / self.description.timestep - 1e-9):
             return self.end("the task is done", finished=True)
         status = Code.MISSED if missed else code_of(sample.command)
         self._answer = Message(Kind.COMMAND, self._run, number, sample.solve_time, status, sample.command.input)

@@ -22,14 +22,14 @@ import numpy as np
 
 MAGIC, VERSION = b"SSMR", 1
 HEADER = struct.Struct("<4sBBHIIQd")
-# No robot here has nearly as many outputs, and no card as many letters.
+# No robot here has nearly as many outputs, and no description as many letters.
 LARGEST = 65536
 
 
 class Kind(IntEnum):
     """What a message says; → from the robot to the controller, ← from the controller to the robot."""
 
-    HELLO = 1        # → the robot's card as JSON; the robot asks for a run
+    HELLO = 1        # → the robot's description as JSON; the robot asks for a run
     START = 2        # ← {"seed": …} as JSON; reset and send measurement 0 of this run
     REFUSE = 3       # ← why not, as text; status BUSY: ask again later
     MEASUREMENT = 4  # → the observation, with the robot's time stamp
@@ -118,7 +118,7 @@ def unpack(data: bytes) -> Message:
 
 
 @dataclass(frozen=True)
-class RobotCard:
+class RobotDescription:
     """What a robot says of itself in its HELLO; the names are those of a `Plant`.
 
     timestep: s, between two measurements.   rest: (p,) m.   input_bounds: (2, m).   real_time: whether time goes on
@@ -156,8 +156,8 @@ class RobotCard:
                              "convert the observation and rest to m")
 
     @classmethod
-    def of(cls, plant, real_time: bool = False) -> RobotCard:
-        """The card of a `Plant`."""
+    def of(cls, plant, real_time: bool = False) -> RobotDescription:
+        """The description of a `Plant`."""
         return cls(plant.name, plant.output_names, plant.input_names, float(plant.timestep), plant.rest,
                    plant.input_bounds, plant.input_unit, real_time=bool(real_time))
 
@@ -168,16 +168,16 @@ class RobotCard:
         return json.dumps(asdict(self) | arrays)
 
 
-def read_card(text: str) -> RobotCard:
-    """The card in a HELLO. Raises ValueError that says what is wrong with it."""
+def read_description(text: str) -> RobotDescription:
+    """The description in a HELLO. Raises ValueError that says what is wrong with it."""
     content = _object(text, "a HELLO")
-    known = {part.name for part in fields(RobotCard)}
+    known = {part.name for part in fields(RobotDescription)}
     needed = {"name", "output_names", "input_names", "timestep", "rest", "input_bounds"}
     if not needed <= content.keys() <= known:
         raise ValueError(f"a HELLO with the keys {sorted(content)}; expected {sorted(needed)} and no others but "
                          f"{sorted(known - needed)}")
     try:
-        return RobotCard(**content)
+        return RobotDescription(**content)
     except TypeError as error:
         raise ValueError(f"a HELLO that cannot be read: {error}") from error
 

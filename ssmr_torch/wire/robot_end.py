@@ -9,7 +9,7 @@ from time import monotonic
 
 import numpy as np
 
-from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotCard, read_start, unpack
+from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotDescription, read_start, unpack
 
 log = logging.getLogger(__name__)
 
@@ -38,9 +38,9 @@ class RobotEnd:
             raise ValueError(f"timeout is {timeout} s, patience {patience} s and answer_within {answer_within}; "
                              "expected two positive times and a share of a timestep, 1 at most")
         self.plant, self.link, self.clock, self.real_time = plant, link, clock, bool(real_time)
-        self.card = RobotCard.of(plant, real_time)
+        self.description = RobotDescription.of(plant, real_time)
         self.timeout, self.patience, self.answer_within = float(timeout), float(patience), float(answer_within)
-        self.safe_input = _safe_input(safe_input, self.card)
+        self.safe_input = _safe_input(safe_input, self.description)
         self.counts: Counter[str] = Counter()
         self._run: int | None = None
         self._seed: int | None = None
@@ -79,12 +79,12 @@ class RobotEnd:
         begun = hello = tick = self.clock()
         while wait is None or self.clock() - begun <= wait:
             if self.clock() >= hello:
-                self.link.send(Message(Kind.HELLO, text=self.card.text))
+                self.link.send(Message(Kind.HELLO, text=self.description.text))
                 hello = self.clock() + AGAIN
             self._listen(min(hello, tick) if self.real_time else hello)
             if self.real_time and self.clock() >= tick:
                 self.plant.step(self.safe_input)
-                tick = max(tick + self.card.timestep, self.clock())
+                tick = max(tick + self.description.timestep, self.clock())
         raise TimeoutError(f"no controller answered within {wait:g} s; start ssmr serve-controller, or "
                            "ssmr control with plant=remote, and check the address")
 
@@ -102,16 +102,16 @@ class RobotEnd:
                     raise _Over(finished=False)
             observation = self.plant.step(self._input)
             if self.real_time:
-                tick = self._pace(tick + self.card.timestep)
+                tick = self._pace(tick + self.description.timestep)
             self._sequence += 1
 
     def _ask(self, observation: np.ndarray, tick: float) -> np.ndarray | None:
         """The input for this observation, or None when none came in time."""
-        stamp = self.clock() if self.real_time else self.card.timestep * self._sequence
+        stamp = self.clock() if self.real_time else self.description.timestep * self._sequence
         message = Message(Kind.MEASUREMENT, self._run, self._sequence, stamp, values=observation)
         if self.real_time:
             self.link.send(message)
-            return self._listen(tick + self.answer_within * self.card.timestep)
+            return self._listen(tick + self.answer_within * self.description.timestep)
         until = self.clock() + self.patience
         while self.clock() < until:
             self.link.send(message)
@@ -126,7 +126,7 @@ class RobotEnd:
         if late > 0:
             self.counts["overruns"] += 1
             # Less than a step behind is caught up with; more would be a burst of hurried steps.
-            return tick if late < self.card.timestep else self.clock()
+            return tick if late < self.description.timestep else self.clock()
         while self.clock() < tick:
             if self._listen(tick) is not None:
                 # Too late to act from the beginning of this step on, yet newer than what would be held in the next.
@@ -197,8 +197,8 @@ class _Over(Exception):
         self.finished = finished
 
 
-def _safe_input(value, card: RobotCard) -> np.ndarray:
-    low, high = card.input_bounds
+def _safe_input(value, robot: RobotDescription) -> np.ndarray:
+    low, high = robot.input_bounds
     safe = np.clip(0.0, low, high) if value is None else np.array(value, dtype=np.float64)
     if safe.shape != low.shape or not ((low <= safe) & (safe <= high)).all():
         raise ValueError(f"safe_input is {safe.tolist()}; expected {len(low)} numbers between {low.tolist()} and "

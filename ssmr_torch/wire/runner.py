@@ -40,23 +40,24 @@ def made_of(loaded: artifact.Artifact, target: str):
 
 
 def controller_for(loaded: artifact.Artifact, make: Callable, rest_tolerance: float = REST_TOLERANCE) -> Callable:
-    """What a `ControllerEnd` builds controllers with: RobotCard → controller, the same one for the same robot.
+    """What a `ControllerEnd` builds controllers with: RobotDescription → controller, the same one for the same robot.
 
     make(model, input_bounds, timestep=…, output_names=…) → controller, which itself refuses a timestep that does not
     fit.   rest_tolerance: m.   Raises ValueError for a robot that the model was not trained on, saying both sides.
     """
     known, rest_tolerance = {}, non_negative("rest_tolerance", rest_tolerance, "m")
 
-    def controller(card):
-        artifact.check_source(loaded, card)
+    def controller(robot):
+        artifact.check_source(loaded, robot)
         trained = np.array(loaded.card["rest"])
-        if trained.shape != card.rest.shape or np.abs(trained - card.rest).max() > rest_tolerance:
+        if trained.shape != robot.rest.shape or np.abs(trained - robot.rest).max() > rest_tolerance:
             raise ValueError(f"the model was trained with the rest {trained.tolist()} m, the robot's is "
-                             f"{card.rest.tolist()} m, and {1e3 * rest_tolerance:g} mm are allowed; "
+                             f"{robot.rest.tolist()} m, and {1e3 * rest_tolerance:g} mm are allowed; "
                              "measure from the same origin, or raise rest_tolerance")
-        key = card.timestep, card.input_bounds.tobytes()
+        key = robot.timestep, robot.input_bounds.tobytes()
         if key not in known:
-            known[key] = make(loaded.model, card.input_bounds, timestep=card.timestep, output_names=card.output_names)
+            known[key] = make(loaded.model, robot.input_bounds, timestep=robot.timestep,
+                              output_names=robot.output_names)
         return known[key]
 
     return controller
@@ -64,12 +65,12 @@ def controller_for(loaded: artifact.Artifact, make: Callable, rest_tolerance: fl
 
 def prepare(loaded: artifact.Artifact, build: Callable) -> None:
     """Build the controller for a robot like that of the training, so that the first one need not wait for compilers."""
-    from ssmr_torch.wire.messages import RobotCard
+    from ssmr_torch.wire.messages import RobotDescription
 
     card = loaded.card
     try:
-        build(RobotCard("as trained", card["output_names"], card["input_names"], loaded.model.window_timestep,
-                        card["rest"], card["input_range"], card["units"]["input"]))
+        build(RobotDescription("as trained", card["output_names"], card["input_names"], loaded.model.window_timestep,
+                               card["rest"], card["input_range"], card["units"]["input"]))
     except ValueError as error:
         log.warning("no controller for a robot like that of the training: %s; perhaps the one that comes fits", error)
 

@@ -1,4 +1,4 @@
-"""A bench robot with its card, a short excitation, and stand-ins for what takes long: design and a person."""
+"""A known robot with its card, a short excitation, and stand-ins for what takes long: design and a person."""
 
 import json
 import sys
@@ -10,13 +10,13 @@ import pytest
 
 from ssmr_torch.collection.collect import ControlledRun, collect
 from ssmr_torch.collection.excitation import Dithered, SmoothRandom
-from ssmr_torch.commissioning.card import BenchCard
 from ssmr_torch.commissioning.commission import commission
+from ssmr_torch.commissioning.robot_card import RobotCard
 from ssmr_torch.control.base import Command
 
 sys.path.append(str(Path(__file__).parent))
 
-from bench_robot import A, B, BenchRobot, C  # noqa: E402
+from known_robot import A, B, C, KnownRobot  # noqa: E402
 
 RUNS = (ControlledRun("smooth-train", Dithered(SmoothRandom(share=0.5)), 6.0, repeats=2),
         ControlledRun("smooth-test", SmoothRandom(share=0.5), 4.0, split="test"))
@@ -53,7 +53,7 @@ class Inverse:
 
     def __init__(self, task, bounds):
         self.task, self.bounds = task, bounds
-        self.gain = (-C @ np.linalg.solve(A, B))[list(task.columns(BenchRobot.output_names))]
+        self.gain = (-C @ np.linalg.solve(A, B))[list(task.columns(KnownRobot.output_names))]
 
     def reset(self):
         pass
@@ -64,13 +64,13 @@ class Inverse:
 
 @pytest.fixture
 def robot():
-    return BenchRobot
+    return KnownRobot
 
 
 @pytest.fixture
 def card():
-    """The card of the bench robot, with changes."""
-    return lambda **changes: BenchCard(**{"displacement_limit": 0.05, "rate_limit": 2.0, "tracked": ["x", "y"],
+    """The card of the known robot, with changes."""
+    return lambda **changes: RobotCard(**{"displacement_limit": 0.05, "rate_limit": 2.0, "tracked": ["x", "y"],
                                           "expected": {"left": "+x", "right": "+y"}} | changes)
 
 
@@ -94,7 +94,7 @@ def bring_up(tmp_path, card, monkeypatch):
         settings = {"excitation": SHORT, "rest_duration": 1.0, "laps": 1, "slow_lap": 6.0, "fast_lap": 3.0,
                     "figures": False, "design": lambda kind, data, task, bounds: Designed(bounds, make),
                     "load": lambda folder: Loaded(folder, make)} | changes
-        return commission(plant, settings.pop("card", card()), tmp_path / "bench", confirm=agree, **settings)
+        return commission(plant, settings.pop("card", card()), tmp_path / "commissioning", confirm=agree, **settings)
 
-    call.seen, call.directory = [], tmp_path / "bench"
+    call.seen, call.directory = [], tmp_path / "commissioning"
     return call

@@ -9,8 +9,8 @@ import numpy as np
 
 from ssmr_torch.collection.collect import ControlledRun, collect
 from ssmr_torch.collection.excitation import Dithered, SmoothRandom
-from ssmr_torch.commissioning.card import BenchCard
 from ssmr_torch.commissioning.commission import commission
+from ssmr_torch.commissioning.robot_card import RobotCard
 from ssmr_torch.control.base import Command
 from ssmr_torch.plants.remote import RemotePlant
 
@@ -56,7 +56,7 @@ class Designed:
 
 def main(address, directory):
     plant = RemotePlant(address)
-    done = commission(plant, BenchCard(displacement_limit=0.05, rate_limit=2.0, tracked=["tip_x", "tip_y"]), directory,
+    done = commission(plant, RobotCard(displacement_limit=0.05, rate_limit=2.0, tracked=["tip_x", "tip_y"]), directory,
                       excitation=SHORT, confirm="yes", laps=1, rest_duration=2.0,
                       design=lambda kind, data, task, bounds: Designed(directory, data.output_names),
                       load=lambda folder: Designed(directory, plant.output_names))

@@ -11,7 +11,7 @@ import pytest
 from ssmr_torch import command
 from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.commissioning.commission import STEPS
-from ssmr_torch.commissioning.guard import SafetyStop
+from ssmr_torch.commissioning.safety_guard import SafetyStop
 from ssmr_torch.commissioning.steps import measure_steps
 from ssmr_torch.trajectory import TrajectoryDataset
 
@@ -160,7 +160,7 @@ def test_another_card_is_refused_in_the_same_directory_but_other_limits_are_not(
     assert bring_up(robot(), lambda *_: False, card=card(displacement_limit=0.04)) == ["card", "noise"]
 
 
-def test_recordings_that_are_none_of_the_benchs_are_refused(bring_up, robot):
+def test_recordings_that_no_commissioning_made_are_refused(bring_up, robot):
     bring_up(robot(), lambda step, *_: step != "collection")
     data = TrajectoryDataset.load(bring_up.directory / "declined-1-trajectories.h5")
     dataclasses.replace(data, provenance={"source": "simulation"}).save(bring_up.directory / "trajectories.h5")
@@ -189,8 +189,8 @@ def test_no_terminal_is_said_in_one_sentence(robot, card, tmp_path, monkeypatch)
 
 
 def test_answers_of_a_guarded_robot_are_those_of_the_robot(robot, card):
-    from ssmr_torch.commissioning.card import fitted
-    from ssmr_torch.commissioning.guard import GuardedPlant
+    from ssmr_torch.commissioning.robot_card import fitted
+    from ssmr_torch.commissioning.safety_guard import GuardedPlant
 
     plant = robot()
     left, right = measure_steps(GuardedPlant(plant, fitted(card(), plant)), np.full(3, 2e-5))
@@ -219,9 +219,9 @@ def test_the_command_shows_each_step_and_says_how_to_go_on(tmp_path, monkeypatch
     (tmp_path / "robot.yaml").write_text("displacement_limit: 0.05\nrate_limit: 2.0\nexpected: {cable_+x: -tip_x}\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.argv", ["ssmr", "commission", "plant=slow_manifold", "card=robot.yaml", "confirm=yes",
-                                     "settings.rest_duration=1", "hydra.run.dir=bench"])
+                                     "settings.rest_duration=1", "hydra.run.dir=commissioning"])
     assert command.main() == 0
     said = capsys.readouterr().out
     assert "cable_+x is reversed: it moves +tip_x, expected -tip_x" in said
     assert "2 of 8 steps are confirmed; the same command with hydra.run.dir=" in said
-    assert (tmp_path / "bench" / "commissioning.md").is_file() and (tmp_path / "bench" / "steps.svg").is_file()
+    assert all((tmp_path / "commissioning" / name).is_file() for name in ("commissioning.md", "steps.svg"))

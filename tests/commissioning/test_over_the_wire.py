@@ -19,20 +19,20 @@ PORT = 5617
 
 @pytest.mark.slow
 def test_the_emulated_bench_is_commissioned_over_the_wire_and_a_killed_driver_goes_on(tmp_path):
-    bench = tmp_path / "bench"
+    directory = tmp_path / "commissioning"
     robot = subprocess.Popen([SSMR, "serve-plant", "plant=diamond_coarse", "rig=emulated_bench", "rig.dropped=missing",
                               "rig.outputs=[tip_x,tip_y,tip_z]", f"connect=tcp://127.0.0.1:{PORT}", "wait=120",
                               "hydra.run.dir=robot"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-    command = [sys.executable, DRIVER, f"tcp://127.0.0.1:{PORT}", bench]
+    command = [sys.executable, DRIVER, f"tcp://127.0.0.1:{PORT}", directory]
     try:
         first = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         until = time.monotonic() + 100
-        while len(list(bench.glob("collected/*/recorded/*.h5"))) < 3 and time.monotonic() < until:
+        while len(list(directory.glob("collected/*/recorded/*.h5"))) < 3 and time.monotonic() < until:
             assert first.poll() is None
             time.sleep(0.05)
         first.kill()
         first.wait()
-        confirmed = json.loads((bench / "progress.json").read_text())["confirmed"]
+        confirmed = json.loads((directory / "progress.json").read_text())["confirmed"]
         assert [entry["step"] for entry in confirmed] == ["card", "noise", "steps"]
         second = subprocess.run(command, capture_output=True, text=True, timeout=150)
         assert second.returncode == 0, second.stderr
@@ -41,11 +41,11 @@ def test_the_emulated_bench_is_commissioned_over_the_wire_and_a_killed_driver_go
     finally:
         robot.kill()
         robot.wait()
-    noise, steps = (json.loads((bench / name).read_text()) for name in ("noise.json", "steps.json"))
+    noise, steps = (json.loads((directory / name).read_text()) for name in ("noise.json", "steps.json"))
     assert all(4e-5 < std < 6e-5 for std in noise["std_m"]) and 0 < noise["missing"] < 0.05
     assert noise["jitter"] < 1e-6  # in lock-step the robot's clock is its samples'
     assert all(0.01 <= answer["delay_s"] <= 0.04 for answer in steps["answers"])  # 10 ms late, and a lag of 10 ms
-    assert len(TrajectoryDataset.load(bench / "trajectories.h5")) == 9
+    assert len(TrajectoryDataset.load(directory / "trajectories.h5")) == 9
     for name in ("slow_circle.h5", "fast_circle.h5"):
-        assert ClosedLoopRecord.load(bench / name).time[-1] > 5.0
-    assert "steps.svg" in (bench / "commissioning.md").read_text() and (bench / "circles.svg").is_file()
+        assert ClosedLoopRecord.load(directory / name).time[-1] > 5.0
+    assert "steps.svg" in (directory / "commissioning.md").read_text() and (directory / "circles.svg").is_file()

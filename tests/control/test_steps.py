@@ -1,17 +1,16 @@
 """Claims about what holds in every step: time, bounds, budget, outliers, copies. Each is one of every controller."""
 
 import copy
-import importlib
 import logging
 import pickle
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from time import thread_time
 
 import numpy as np
 import pytest
 
+from ssmr_torch.benchmarks import hostile
 from ssmr_torch.control.chart_estimator import ChartEstimator
 from ssmr_torch.control.kalman_observers import KalmanObserver
 from ssmr_torch.control.quadratic_program import QuadraticProgram
@@ -25,13 +24,6 @@ EIGHT = figure_eight(laps=3.0, amplitude=0.010)
 OBSERVERS = {f"{disturbance}, {'extended' if extended else 'stationary'}":
              partial(KalmanObserver, disturbance=disturbance, extended=extended)
              for disturbance in ("none", "output", "input") for extended in (False, True)}
-
-
-@pytest.fixture
-def hostile(monkeypatch):
-    """The benchmark of hostile steps as a module."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "experiments" / "benchmarks"))
-    return importlib.import_module("control_hostile")
 
 
 def steered(bench, controller, samples=300, observe=lambda k, y: y, called=lambda k: True):
@@ -56,7 +48,7 @@ def rms(outputs):
     "SSMR, rate, daqp", "SSMR, 20 circles, rate", "SSMR, 20 circles, daqp", "SSMR, actuator",
     "SSMR, rubbing actuator, rate", "DMD", "DMD, Kalman", "EDMD",
     "static pregain"])
-def test_hostile_steps_raise_nothing_stay_in_bounds_end_in_time_and_leave_nothing_behind(hostile, kind):
+def test_hostile_steps_raise_nothing_stay_in_bounds_end_in_time_and_leave_nothing_behind(kind):
     found = hostile.endure(hostile.KINDS[kind], 2000, seed=1)
     assert not found.exceptions and not found.outside and found.fresh
     assert found.late <= 2  # of the CPU time; a collection of garbage may fall into a step
@@ -279,7 +271,7 @@ def test_a_lambda_can_be_copied_and_says_that_it_cannot_be_pickled():
 @pytest.mark.parametrize("kind", [
     "SSMR on the chart", "SSMR, horizon 10, rate", "SSMR, extended Kalman", "SSMR, Kalman", "SSMR, 20 circles, rate",
     "SSMR, 20 circles, daqp", "SSMR, actuator", "SSMR, rubbing actuator, rate", "EDMD", "static pregain"])
-def test_the_copy_of_a_controller_gives_the_same_commands_to_the_last_bit(hostile, bench, kind, copied):
+def test_the_copy_of_a_controller_gives_the_same_commands_to_the_last_bit(bench, kind, copied):
     controller = hostile.KINDS[kind]()
     steered(bench, controller, 101)
     again, rng = copied(controller), np.random.default_rng(3)

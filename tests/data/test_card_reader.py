@@ -9,6 +9,7 @@ import yaml
 
 from ssmr_torch.data import readers
 from ssmr_torch.data.recording import Recording, fingerprint, rest_at_end
+from ssmr_torch.data.recording_card import read_recording_card
 from ssmr_torch.trajectory import TrajectoryDataset
 
 
@@ -100,11 +101,12 @@ def test_an_unknown_key_of_the_card_is_refused_with_the_nearest(tmp_path, key, n
     ({"rest": [0, 0]}, r"card.yaml: rest is \[0, 0\]; expected 3 numbers in mm"),
     ({"rest": [0, "a", 120]}, r"card.yaml: rest is \[0, 'a', 120\]; expected 3 numbers in mm"),
     ({"range": [1]}, r"range is \[1\]; expected two numbers in m, \[smallest, largest\]"),
-    ({"range": 1}, "range of the card is 1; expected a list"),
+    ({"range": 1}, r"range is 1; expected two numbers in m, \[smallest, largest\]"),
     ({"interval_range": [0.5, 0.1]}, "interval_range is .*two numbers in s"),
     ({"largest_input": -1}, "largest_input is -1"), ({"timestep": 10}, "timestep is 10 s; expected seconds"),
     ({"split": {"test": "inputs"}}, r"split.test is 'inputs'; expected a list of runs, as \[inputs\]"),
-    ({"columns": {"time": "t", "observation": ["x", "y", "z"]}}, r"columns.input is \[\]; training needs"),
+    ({"columns": {"time": "t", "observation": ["x", "y", "z"]}},
+     r"columns.input is \[\]; expected .*one input column or more.*of zeros"),
     ({"columns": {"time": "t", "observation": ["x", "y", "x"], "input": ["u"]}}, r"\['x'\] twice"),
     ({"columns": {"time": "t", "observation": ["x", "y", "z"], "input": ["u", "u"]}}, r"\['u'\] twice"),
     ({"columns": {"time": "t", "observation": ["x", "y", "z"], "input": ["z"]}}, r"\['z'\] twice"),
@@ -115,15 +117,42 @@ def test_an_unknown_key_of_the_card_is_refused_with_the_nearest(tmp_path, key, n
     ({"seams": {"inputs": [900]}}, r"seams \[900\] lie outside the 200 rows"),
     ({"columns": {"time": "t", "observation": ["x", "y", "tip"], "input": ["u"]}}, r"no numeric column "
                                                                                     r"\['tip'\]; it has"),
-    ({"timestep": "fast"}, "timestep of the card is 'fast'; expected a number"),
+    ({"timestep": "fast"}, "timestep is 'fast'; expected a number of s"),
     ({"rest": "median of resting samples"}, "give rest as a vector"),
-    ({"minimum_length": 1000}, "no run is left")])
+    ({"minimum_length": 1000}, "no run is left"), ({"minimum_length": 9.5}, "minimum_length is 9.5; expected a whole"),
+    ({"files": "a.csv"}, "files is 'a.csv'; expected the names of one file or more"),
+    ({"units": "mm"}, "units is 'mm'; expected keys and values, as {length: mm}"),
+    ({"columns": ["x"]}, r"columns is \['x'\]; expected keys and values, as {observation"),
+    ({"columns": {"time": 5, "observation": ["x"], "input": ["u"]}}, "columns.time is 5; expected the name of a col"),
+    ({"seams": "none"}, "seams is 'none'; expected auto or rows by run"),
+    ({"range": [0.0, float("nan")]}, r"range is \[0.0, nan\]; expected two numbers in m"),
+    ({"split": ["inputs"]}, r"split is \['inputs'\]; expected keys and values"),
+    ({"columns": {"time": "t", 7: "x"}}, "card.yaml: columns has the unknown key '7'; did you mean")])
 def test_a_wrong_card_is_refused(tmp_path, changes, message):
     path = csv_card(tmp_path, **changes)
     if changes.get("rest") == "median of resting samples":
         path = csv_card(tmp_path, files=["inputs.csv"], decays=[], **changes)
     with pytest.raises(ValueError, match=message):
         readers.custom(path)
+
+
+def test_what_yaml_reads_as_another_type_is_understood(tmp_path):
+    """YAML 1.1 reads 1e-2 as text, and 1 and 20260101 as numbers."""
+    path = csv_card(tmp_path, units={"length": "mm", "input": "mN"}, timestep="1e-2", range=["1e-3", 2])
+    for key, name in (("20260101", "release_1"),):
+        (tmp_path / f"{name}.csv").rename(tmp_path / f"{key}.csv")
+    path.write_text(path.read_text().replace("release_1.csv", "20260101.csv").replace("release_1", "20260101"))
+    assert "- 20260101\n" in path.read_text()
+    assert [(run.kind, run.name) for run in readers.custom(path)][0] == ("decay", "20260101")
+
+
+def test_a_card_that_is_changed_is_checked_again(tmp_path):
+    card = read_recording_card(csv_card(tmp_path))
+    assert card.changed(minimum_length=20).minimum_length == 20 and card.minimum_length == 10
+    with pytest.raises(ValueError, match="largest_input is 0; expected a positive number in N or 1"):
+        card.changed(largest_input=0)
+    with pytest.raises(ValueError, match="the card has the unknown key 'lowest_input'; did you mean 'largest_input'"):
+        card.changed(lowest_input=0)
 
 
 def test_a_missing_card_or_file_is_reported(tmp_path):

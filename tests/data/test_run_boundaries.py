@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ssmr_torch.data.csv_and_hdf5 import pick, read_columns
+from ssmr_torch.data.column_files import pick, read_columns
 from ssmr_torch.data.matlab import read_koopman_struct
 from ssmr_torch.data.run_boundaries import check_seams, count_blips, count_frozen, find_seams, find_time_gaps
 

@@ -15,8 +15,8 @@ from ssmr_torch.evaluation.comparison_tables import (
 )
 from ssmr_torch.evaluation.horizon_scores import HorizonScore, OpenLoopScore
 from ssmr_torch.evaluation.open_loop import compare_open_loop
-from ssmr_torch.evaluation.predictors import Predictor
 from ssmr_torch.evaluation.run_groups import compare_groups
+from ssmr_torch.models.predictors import Predictor
 from ssmr_torch.trajectory import Trajectory
 
 DT = 0.01

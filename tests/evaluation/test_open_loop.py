@@ -13,7 +13,7 @@ from ssmr_torch.data.starts import draw_starts
 from ssmr_torch.evaluation.comparison_tables import format_table
 from ssmr_torch.evaluation.measured_rollouts import predict_trajectory
 from ssmr_torch.evaluation.open_loop import compare_open_loop, score_open_loop
-from ssmr_torch.evaluation.predictors import Predictor, constant_velocity, persistence
+from ssmr_torch.models.predictors import Predictor, constant_velocity, persistence
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ssmr_torch.evaluation.predictors import Predictor
 from ssmr_torch.evaluation.study import score_runs, study_rows
+from ssmr_torch.models.predictors import Predictor
 from ssmr_torch.trajectory import Trajectory
 
 H = 0.01

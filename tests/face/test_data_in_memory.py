@@ -98,7 +98,7 @@ def cut_short(runs):
     (lambda runs: runs.update(output_names=["x", "y", "x"]), "two outputs are named 'x'"),
     (lambda runs: runs.update(decays=[(DT, np.ones((50, 3), dtype=complex), np.zeros((50, 2)))]),
      "decay 1: y is not all numbers .*complex"),
-    (lambda runs: runs.update(units={"lenght": "m"}), "unknown key 'lenght'; expected length, input, time"),
+    (lambda runs: runs.update(units={"lenght": "m"}), "units has the unknown key 'lenght'; did you mean 'length'"),
     (lambda runs: runs.update(output_names=["x", "y"]), "decay 1 has 3 outputs; expected 2"),
     (lambda runs: runs.update(decays=[(DT,)]), r"decay 1 of decays is no run; expected \(t, y, u\)"),
     (lambda runs: runs.update(decays=[], controlled=[], test=[]), r"no runs were given; expected decays=\["),

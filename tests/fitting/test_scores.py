@@ -9,11 +9,11 @@ import torch
 
 from ssmr_torch.data.starts import ScoredRuns
 from ssmr_torch.evaluation.open_loop import score_open_loop
-from ssmr_torch.evaluation.predictors import persistence
 from ssmr_torch.fitting.lightning_fit import ModelFit
 from ssmr_torch.fitting.scores import hurried, scores
 from ssmr_torch.models.control_augmented import ControlAugmentedSSMR
 from ssmr_torch.models.koopman import Koopman
+from ssmr_torch.models.predictors import persistence
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.trajectory import Trajectory
 

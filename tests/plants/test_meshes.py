@@ -1,4 +1,4 @@
-"""The meshes that come with the package, as they lie in their files (mm); made by experiments/meshes/make_meshes.py."""
+"""The meshes that come with the package, as they lie in their files (mm); tools/make_meshes.py makes them."""
 
 from itertools import combinations
 from pathlib import Path

@@ -1,34 +1,25 @@
 """Robots that no default was made on: what is chosen from the data does not diverge, and nothing is better.
 
 Short recordings of 72 s, made here, of the robots that are simulated fast enough; or those of five minutes, and of all
-robots, in the folder SSMR_TORCH_ROBOTS, as `python experiments/benchmarks/robots.py FOLDER` keeps them.
+robots, in the folder SSMR_TORCH_ROBOTS, as `ssmr benchmark robots folder=FOLDER` keeps them.
 """
 
-import importlib.util
 import os
 from pathlib import Path
 
 import pytest
 
 import ssmr_torch as ssmr
+from ssmr_torch.benchmarks import robots
 
-ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = {"tendon_chain": "mujoco", "cosserat_rod": "elastica", "pressure_arm": "numba", "isupport": "soromox",
             "planar_hsa": "soromox"}
 RECORDED_HERE = ("tendon_chain", "pressure_arm", "planar_hsa")  # a minute of the others takes minutes to simulate
 RIVALS = ("dmd", "edmd_relift", "edmd_bilinear", "ssmr_control_augmented")
 
 
-@pytest.fixture(scope="module")
-def robots():
-    spec = importlib.util.spec_from_file_location("robots", ROOT / "experiments" / "benchmarks" / "robots.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module", params=PACKAGES)
-def found(request, robots):
+def found(request):
     """The comparison of one robot, by defaults."""
     robot, folder = request.param, os.environ.get("SSMR_TORCH_ROBOTS")
     path = None if folder is None else Path(folder) / robot / "trajectories.h5"
@@ -52,6 +43,7 @@ def test_the_chosen_model_is_best_or_tied_over_every_horizon_of_every_group(foun
 
 
 @pytest.mark.slow
-def test_the_summary_has_a_row_for_the_robot(found, robots):
+def test_the_summary_has_a_row_for_the_robot(found):
     row = robots.row("robot", found)
-    assert len(row) == len(robots.HEADER) and row[-1].split()[-1] in found.models
+    assert row["robot"] == "robot" and row["best baseline, 1 s"].split()[-1] in found.models
+    assert 0 < row["50 ms, mm"] < row["1 s, mm"]

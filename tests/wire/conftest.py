@@ -9,7 +9,7 @@ import pytest
 
 from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.wire.link import ControllerLink, RobotLink
-from ssmr_torch.wire.messages import Kind, Message, RobotCard, unpack
+from ssmr_torch.wire.messages import Kind, Message, RobotDescription, unpack
 from ssmr_torch.wire.robot_end import RobotEnd
 
 
@@ -25,9 +25,9 @@ def plant(bench):
 
 @pytest.fixture
 def build(bench, task):
-    """RobotCard or plant → the controller of the benchmark."""
-    return lambda card: ModelPredictiveController(bench.oscillators(), task, card.input_bounds,
-                                                  timestep=card.timestep, output_names=card.output_names)
+    """RobotDescription or plant → the controller of the benchmark."""
+    return lambda robot: ModelPredictiveController(bench.oscillators(), task, robot.input_bounds,
+                                                  timestep=robot.timestep, output_names=robot.output_names)
 
 
 class FakeClock:
@@ -147,4 +147,4 @@ def background():
 @pytest.fixture
 def hello(integrator):
     """The bytes of the integrator's HELLO, with changes: hello(real_time=True, timestep=0.02)."""
-    return lambda **changes: Message(Kind.HELLO, text=replace(RobotCard.of(integrator), **changes).text).pack()
+    return lambda **changes: Message(Kind.HELLO, text=replace(RobotDescription.of(integrator), **changes).text).pack()

@@ -6,7 +6,7 @@ import pytest
 from ssmr_torch.control.base import Command
 from ssmr_torch.status import Status
 from ssmr_torch.wire.controller_end import ControllerEnd, code_of
-from ssmr_torch.wire.messages import Code, Kind, Message, RobotCard, unpack
+from ssmr_torch.wire.messages import Code, Kind, Message, RobotDescription, unpack
 
 H = 0.01
 
@@ -55,7 +55,7 @@ def echo():
 
 @pytest.fixture
 def end(echo):
-    return ControllerEnd(lambda card: echo, timeout=0.1, patience=10.0)
+    return ControllerEnd(lambda robot: echo, timeout=0.1, patience=10.0)
 
 
 @pytest.fixture
@@ -199,7 +199,7 @@ def test_a_hello_repeated_before_the_first_measurement_begins_no_other_run(end, 
 
 
 def test_a_robot_that_the_controller_cannot_take_is_refused_with_the_reason(hello):
-    def build(card):
+    def build(robot):
         raise ValueError("the model was trained with outputs ['a'], here they are ['x', 'y']")
 
     end = ControllerEnd(build)
@@ -210,7 +210,7 @@ def test_a_robot_that_the_controller_cannot_take_is_refused_with_the_reason(hell
 
 
 def test_a_task_that_is_done_ends_the_run_without_a_last_command(echo, hello):
-    end = ControllerEnd(lambda card: echo, duration=0.025)
+    end = ControllerEnd(lambda robot: echo, duration=0.025)
     talk = Talk(end, hello())
     kinds = [message.kind for k in range(4) for message in talk.measure(k, at=0.0)]
     assert kinds == [Kind.COMMAND] * 3 + [Kind.END] and end.finished == 1 and len(end.samples) == 4
@@ -224,7 +224,7 @@ def test_the_robot_may_end_a_run(paced):
 
 def test_the_last_plan_goes_on_where_measurements_are_missing_and_then_the_safe_input(build, plant):
     end = ControllerEnd(build, timeout=1.0)
-    text, rng = RobotCard.of(plant, real_time=True).text, np.random.default_rng(0)
+    text, rng = RobotDescription.of(plant, real_time=True).text, np.random.default_rng(0)
     (_, start), = end.receive(b"robot", Message(Kind.HELLO, text=text).pack(), 0.0)
     for k in range(41):
         sent = Message(Kind.MEASUREMENT, start.run, k, k * H, values=rng.uniform(-1e-4, 1e-4, 6)).pack()

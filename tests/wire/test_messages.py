@@ -16,8 +16,8 @@ from ssmr_torch.wire.messages import (
     Kind,
     Malformed,
     Message,
-    RobotCard,
-    read_card,
+    RobotDescription,
+    read_description,
     read_start,
     unpack,
 )
@@ -70,10 +70,10 @@ def test_a_code_is_never_used_twice():
     assert len(set(Code)) == len(Code.__members__)
 
 
-def test_a_robots_card_survives_the_wire(integrator):
-    card = RobotCard.of(integrator, real_time=True)
-    read = read_card(card.text)
-    assert read.text == card.text and read.real_time and read.output_names == ("x", "y")
+def test_a_robots_description_survives_the_wire(integrator):
+    description = RobotDescription.of(integrator, real_time=True)
+    read = read_description(description.text)
+    assert read.text == description.text and read.real_time and read.output_names == ("x", "y")
     np.testing.assert_array_equal(read.input_bounds, integrator.input_bounds)
 
 
@@ -83,16 +83,16 @@ def test_a_robots_card_survives_the_wire(integrator):
     ({"timestep": "fast"}, "positive number of s"), ({"length_unit": "mm"}, "measures in 'mm', the controller in 'm'"),
     ({"rest": [0.0, float("nan")]}, "finite"), ({"colour": "red"}, "the keys"),
 ])
-def test_a_card_that_cannot_be_is_refused(integrator, change, what):
-    content = json.loads(RobotCard.of(integrator).text) | change
+def test_a_description_that_cannot_be_is_refused(integrator, change, what):
+    content = json.loads(RobotDescription.of(integrator).text) | change
     with pytest.raises(ValueError, match=what):
-        read_card(json.dumps(content))
+        read_description(json.dumps(content))
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", "{"])
-def test_a_hello_without_a_card_is_refused(text):
+def test_a_hello_without_a_description_is_refused(text):
     with pytest.raises(ValueError, match="a HELLO"):
-        read_card(text)
+        read_description(text)
 
 
 def test_a_start_holds_a_seed_or_none():
@@ -101,6 +101,6 @@ def test_a_start_holds_a_seed_or_none():
         read_start('{"seed": -1}')
 
 
-def test_a_card_of_another_length_unit_cannot_even_be_written(integrator):
+def test_a_description_of_another_length_unit_cannot_even_be_written(integrator):
     with pytest.raises(ValueError, match="convert the observation"):
-        replace(RobotCard.of(integrator), length_unit="mm")
+        replace(RobotDescription.of(integrator), length_unit="mm")

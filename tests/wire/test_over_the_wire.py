@@ -15,7 +15,7 @@ from ssmr_torch.plants.emulated_rig import Rig
 from ssmr_torch.plants.remote import RemotePlant
 from ssmr_torch.wire.controller_end import ControllerEnd
 from ssmr_torch.wire.link import ControllerLink, RobotLink
-from ssmr_torch.wire.messages import Kind, Message, RobotCard, unpack
+from ssmr_torch.wire.messages import Kind, Message, RobotDescription, unpack
 from ssmr_torch.wire.robot_end import RobotEnd
 from ssmr_torch.wire.serving import serve
 
@@ -118,7 +118,7 @@ def test_a_remote_plant_that_never_comes_or_leaves_ends_in_a_message(integrator,
 
 def blind_once(link, plant):
     """A robot in real time that keeps measurement 1 back until the command for it has come."""
-    link.send(Message(Kind.HELLO, text=RobotCard.of(plant, real_time=True).text))
+    link.send(Message(Kind.HELLO, text=RobotDescription.of(plant, real_time=True).text))
     run = None
 
     def send(*numbers):
@@ -200,7 +200,7 @@ class Constant:
 
 
 def test_in_real_time_a_whole_task_goes_over_the_wire_whatever_the_machine_is_busy_with(links, integrator, background):
-    end = ControllerEnd(lambda card: Constant(), duration=0.3, timeout=20.0)
+    end = ControllerEnd(lambda robot: Constant(), duration=0.3, timeout=20.0)
     robot = RobotEnd(integrator, links[1], real_time=True, timeout=20.0)
     other = background(robot.drive, 1, wait=20.0)
     serve(links[0], end, runs=1)
@@ -215,7 +215,7 @@ def test_the_client_in_the_documentation_is_a_robot(integrator, background):
     text = (Path(__file__).parents[2] / "docs" / "wire.md").read_text()
     code = text.split("```python\n")[1].split("```")[0]
     assert "tcp://127.0.0.1:5555" in code and "poll(1000)" in code
-    end, applied = ControllerEnd(lambda card: Constant(), duration=0.05), []
+    end, applied = ControllerEnd(lambda robot: Constant(), duration=0.05), []
 
     def apply(u):
         applied.append(u)
@@ -223,8 +223,8 @@ def test_the_client_in_the_documentation_is_a_robot(integrator, background):
 
     with ControllerLink("tcp://127.0.0.1:*") as link:
         code = code.replace("tcp://127.0.0.1:5555", link.endpoint).replace("poll(1000)", "poll(20000)")
-        names = {"CARD": json.loads(RobotCard.of(integrator).text), "TIMESTEP": 0.01, "SAFE_INPUT": (0.1, 0.0),
-                 "measure": lambda: integrator.displacement, "apply": apply}
+        names = {"DESCRIPTION": json.loads(RobotDescription.of(integrator).text), "TIMESTEP": 0.01,
+                 "SAFE_INPUT": (0.1, 0.0), "measure": lambda: integrator.displacement, "apply": apply}
         other = background(exec, code, names)
         serve(link, end, runs=1)
         other.join()

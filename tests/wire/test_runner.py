@@ -19,7 +19,7 @@ from ssmr_torch.plants.slow_manifold import SlowManifold
 from ssmr_torch.tasks.references import figure_eight
 from ssmr_torch.wire import runner
 from ssmr_torch.wire.link import RobotLink
-from ssmr_torch.wire.messages import RobotCard
+from ssmr_torch.wire.messages import RobotDescription
 from ssmr_torch.wire.robot_end import RobotEnd
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
@@ -187,16 +187,16 @@ def test_a_robot_that_does_not_match_the_model_is_refused_with_both_sides(shippe
     build = runner.controller_for(artifact.load(shipped), lambda model, bounds, **more: ModelPredictiveController(
         model, task, bounds, **more))
     with pytest.raises(ValueError) as refusal:
-        build(RobotCard.of(Mismatched(**changes)))
+        build(RobotDescription.of(Mismatched(**changes)))
     assert all(part in str(refusal.value) for part in both), refusal.value
 
 
 def test_the_same_robot_gets_the_controller_that_is_there_already(shipped):
     task, made = runner.build(runner.DEFAULT["task"]), []
     build = runner.controller_for(artifact.load(shipped), lambda *given, **more: made.append(more) or object())
-    card = RobotCard.of(SlowManifold())
-    assert build(card) is build(card) and len(made) == 1 and task.name == "figure eight"
-    build(RobotCard.of(SlowManifold(input_bounds=(0.0, 1.0))))
+    robot = RobotDescription.of(SlowManifold())
+    assert build(robot) is build(robot) and len(made) == 1 and task.name == "figure eight"
+    build(RobotDescription.of(SlowManifold(input_bounds=(0.0, 1.0))))
     assert len(made) == 2
 
 

@@ -1,0 +1,1 @@
+"""Benchmarks: `ssmr benchmark NAME [key=value …]`, one file each, all printed and saved by table.py."""

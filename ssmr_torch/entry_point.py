@@ -1,0 +1,105 @@
+"""What every command shares: its configuration by Hydra, one clear message on bad input, and result.json."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import logging
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import hydra
+from hydra.core.config_store import ConfigStore
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import InstantiationException
+from hydra.types import RunMode
+from omegaconf import DictConfig, MissingMandatoryValue, OmegaConf
+
+from ssmr_torch.configuration import folder, register
+from ssmr_torch.extras import remedy
+from ssmr_torch.provenance import provenance
+from ssmr_torch.quiet_libraries import quiet
+from ssmr_torch.result_files import save_json
+
+THEIRS = ("MisconfigurationException",)  # what Lightning raises for a trainer that is not possible here
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of malloc.h
+
+
+def entry_point(name: str):
+    """Run function(config, directory) → metric under Hydra, with conf/NAME.yaml; bad input ends in one message."""
+
+    def decorate(function):
+        @functools.wraps(function)
+        def task(config):
+            look_here()
+            quiet()
+            keep_memory()
+            directory = Path(HydraConfig.get().runtime.output_dir)
+            try:
+                return function(config, directory)
+            except Exception as error:
+                cause = error.__cause__ or error if isinstance(error, InstantiationException) else error
+                missing = remedy(error) or not_given(error)
+                expected = missing or isinstance(cause, (ValueError, OSError)) or type(cause).__name__ in THEIRS
+                if not expected and HydraConfig.get().mode != RunMode.MULTIRUN:
+                    raise
+                what = missing or (str(cause) if expected else f"{type(cause).__name__}: {cause}")
+                return refuse(f"{name}: {what}", directory, error, expected)
+
+        look_here()
+        register()
+        return hydra.main(version_base="1.3", config_path=str(folder()), config_name=name)(task)
+
+    return decorate
+
+
+def offer(group: str, options: Mapping[str, Mapping]) -> None:
+    """Offer options of a group that no file holds: GROUP=NAME puts the keys of the option at the top level."""
+    for name, node in options.items():
+        ConfigStore.instance().store(group=group, name=name, package="_global_", node=dict(node))
+
+
+def not_given(error: Exception) -> str | None:
+    """What to say of a key that has no value, such as `data.path: ???`; None for any other error."""
+    if not isinstance(error, MissingMandatoryValue):
+        return None
+    return f"{error.full_key} is not given; it has no default: {error.full_key}=VALUE"
+
+
+def look_here() -> None:
+    """Find classes in the working directory, where those that a configuration of one's own names may lie."""
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
+
+
+def refuse(message: str, directory: Path, error: Exception, expected: bool) -> float:
+    """A single run ends here; a job of a sweep is recorded as failed with an infinite metric, and the sweep goes on."""
+    if HydraConfig.get().mode != RunMode.MULTIRUN:
+        raise SystemExit(message) from error
+    logging.getLogger(__name__).error(message, exc_info=None if expected else error)
+    save_result(directory, {"failed": message})
+    return float("inf")
+
+
+def keep_memory() -> None:
+    """Keep freed memory for the next allocation; else large tensors are mapped anew each time, which takes up to half
+    of the time of a Gauss-Newton fit. Only the GNU C library needs it.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
+    if mallopt:
+        for parameter in (M_MMAP_THRESHOLD, M_TRIM_THRESHOLD):
+            mallopt(parameter, 1 << 30)
+
+
+def origin_of(config: DictConfig, resolve: bool = True) -> dict:
+    """`provenance` of a run with this configuration; resolve: its interpolations as well."""
+    return provenance(OmegaConf.to_container(config, resolve=resolve))
+
+
+def save_result(directory: Path, metrics: dict, **more) -> None:
+    """result.json: the metrics of this job, and what else tells it from others, for the table of a sweep."""
+    save_json(directory / "result.json",
+              {"overrides": list(HydraConfig.get().overrides.task), "metrics": metrics} | more)
