@@ -16,8 +16,9 @@ from pathlib import Path
 from ssmr_torch import __version__
 from ssmr_torch.extras import remedy, require
 
+OF_THE_PAPER = ("delay-study", "reproduce") if find_spec("ssmr_torch.paper") else ()  # paper/ can be deleted
 COMMANDS = ("collect", "check", "train", "compare", "export", "evaluate", "design", "control", "commission",
-            "serve-controller", "serve-plant", "report", "delay-study", "reproduce", "benchmark", "docs-numbers")
+            "serve-controller", "serve-plant", "report", *OF_THE_PAPER, "benchmark", "docs-numbers")
 SEARCHES = ("sweep=", "tuning=")
 COMPLETION = ("-sc", "--shell-completion")  # as Hydra has it
 

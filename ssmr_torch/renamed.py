@@ -15,9 +15,16 @@ MODULES = {
     "ssmr_torch.control.qp": "ssmr_torch.control.quadratic_program",
     "ssmr_torch.control.settings": "ssmr_torch.control.mpc_settings",
 }
+# Names that have moved alone: what asks for the old one is told the new one, what a saved file names is found.
+NAMES = {
+    "ssmr_torch.tasks.pacman": "ssmr_torch.paper.tasks.pacman",
+    "ssmr_torch.tasks.symbols.pacman": "ssmr_torch.paper.tasks.pacman",
+}
 
 
 def current(target: str) -> str:
     """The dotted path of a class or function as it is now, from one that an earlier version wrote."""
     module, _, name = target.rpartition(".")
+    if target in NAMES:
+        return NAMES[target]
     return f"{MODULES.get(module, module)}.{name}"

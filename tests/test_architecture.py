@@ -45,7 +45,7 @@ HOMES = {
     "acados_template": ["benchmarks/other_solvers.py"], "ruptures": ["benchmarks/libraries.py"],
     "hydra": ["configuration.py", "entry_point.py"], "omegaconf": ["configuration.py", "entry_point.py"],
     "h5py": ["trajectory.py", "closed_loop/record.py", "commissioning/directory.py", "data/*",
-             "collection/resumption.py", "paper/report_sections.py"],
+             "collection/resumption.py", "paper/report_sections.py", "paper/workspace_errors.py"],
     "yaml": ["data/card_file.py", "documents/stray_numbers.py"],
     "pandas": ["data/column_files.py", "data/csv_text.py"],
     "pydantic": ["data/card_file.py", "data/recording_card.py", "data/units.py", "commissioning/robot_card.py"],
@@ -54,6 +54,8 @@ HOMES = {
     "jinja2": ["report/html_page.py"], "markupsafe": ["report/html_page.py"],
     "meshio": ["plants/finite_element/mesh_files.py"], "fontTools": ["tasks/symbols.py"],
     "zmq": ["wire/link.py"], "rerun": ["closed_loop/rerun_view.py"],
+    "doit": ["paper/workflow.py"], "joblib": ["paper/executors/joblib_processes.py"],
+    "ray": ["paper/executors/ray_tasks.py"], "submitit": ["paper/executors/submitit_jobs.py"],
 }
 # What a room never imports; * is every room, and a room may import itself. command.py is what starts the experiments.
 NEVER = {
@@ -76,8 +78,14 @@ TOUCHES_FILES = [
     "controller_design/report.py", "defaults.py", "data/*", "documents/*",
     "deployment/deploy.py", "fitting/by_kind.py", "fitting/checkpoints.py", "evaluation/*figures.py",
     "report/html_page.py", "report/run_sections.py",
-    "paper/report_sections.py",
+    "paper/job_run.py", "paper/report_sections.py", "paper/reproduction.py", "paper/result_tables.py",
+    "paper/workspace_errors.py",
     "plants/finite_element/mesh_files.py", "tasks/symbols.py", "closed_loop/rerun_view.py"]
+# paper/ can be deleted; the rules of its rooms go with it.
+if not (PACKAGE / "paper").is_dir():
+    TOUCHES_FILES = [room for room in TOUCHES_FILES if not room.startswith("paper/")]
+    HOMES = {library: rooms for library, named in HOMES.items()
+             if (rooms := [room for room in named if not room.startswith("paper/")])}
 
 RULES = {
     "imports are absolute": lambda folder: relative_imports(folder),
