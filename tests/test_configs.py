@@ -3,6 +3,7 @@
 import inspect
 from datetime import date
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,15 @@ CONF = Path(__file__).resolve().parents[1] / "conf"
 PRIMARY = sorted(path.stem for path in CONF.glob("*.yaml") if path.stem != "directories")
 
 
-group = configuration.options
+# paper/ can be deleted, and its readers, its task and its executors with it.
+OF_THE_PAPER = {} if find_spec("ssmr_torch.paper") else {
+    "data": {"real_trunk", "real_diamond", "authors_simulated_trunk", "authors_simulated_diamond"}, "task": {"pacman"}}
+
+
+def group(name: str) -> list[str]:
+    return [option for option in configuration.options(name) if option not in OF_THE_PAPER.get(name, ())]
+
+
 ROBOTS = sorted(path.stem for path in (CONF / "found").glob("*.yaml"))
 ROWS = [(robot, model) for robot in ROBOTS for model in group(f"row/found/{robot}")]
 FOUND_CONTROLLERS = [f"{robot}/{model}" for robot in ROBOTS for model in group(f"controller/{robot}")]

@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 
 from ssmr_torch import configuration, option_tables
 from ssmr_torch.defaults import is_library, keyword_defaults
+from ssmr_torch.extras import remedy
 
 CONF = configuration.folder()
 FILES = sorted(CONF.rglob("*.yaml"))
@@ -129,7 +130,12 @@ def test_a_repeated_default_would_be_found_at_any_depth():
 @pytest.mark.parametrize("target", TARGETS)
 def test_what_is_read_of_the_source_is_what_python_says(target):
     module, _, name = target.rpartition(".")
-    parameters = inspect.signature(getattr(importlib.import_module(module), name)).parameters
+    try:
+        parameters = inspect.signature(getattr(importlib.import_module(module), name)).parameters
+    except ModuleNotFoundError as error:
+        if remedy(error) is None and not error.name.startswith("ssmr_torch.paper"):  # paper/ can be deleted
+            raise
+        pytest.skip(f"{error.name} is not there")
     for key, value in keyword_defaults(target).items():
         assert plain(parameters[key].default) == value, key
 
