@@ -19,11 +19,11 @@ PLANT := $(or $(PLANT_$(PRESET)),$(error PRESET is $(PRESET); expected quick or 
 
 run: .venv/installed
 	$(BIN)/ssmr collect plant=$(PLANT) excitation=trunk hydra.run.dir=$(RUN)/collect
-	$(BIN)/ssmr train experiment=trunk model=auto \
+	$(BIN)/ssmr train robot=trunk model=auto \
 		data.path=$(RUN)/collect/trajectories.h5 hydra.run.dir=$(RUN)/train/auto
-	$(BIN)/ssmr train experiment=trunk model=ssmr model.dynamics_degree=2 model.parametrization_degree=1 \
+	$(BIN)/ssmr train robot=trunk model=ssmr settings=found model.dynamics_degree=2 model.parametrization_degree=1 \
 		data.path=$(RUN)/collect/trajectories.h5 hydra.run.dir=$(RUN)/train/ssmr
-	$(BIN)/ssmr train experiment=trunk model=sssr \
+	$(BIN)/ssmr train robot=trunk model=sssr settings=found \
 		data.path=$(RUN)/collect/trajectories.h5 hydra.run.dir=$(RUN)/train/sssr
 	$(BIN)/ssmr export -m checkpoint=$(RUN)/train/ssmr/model.ckpt,$(RUN)/train/sssr/model.ckpt,$(RUN)/train/auto/model.ckpt \
 		hydra.sweep.dir=$(RUN)/export

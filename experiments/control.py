@@ -5,7 +5,7 @@ ssmr control artifact=DIR task=figure_eight; sweeps with ssmr control -m artifac
 
 from hydra.utils import instantiate
 
-from ssmr_torch.entry_point import entry_point, origin_of, save_json, save_result
+from ssmr_torch.entry_point import entry_point, found_row, origin_of, save_json, save_result
 
 
 @entry_point("control")
@@ -29,7 +29,7 @@ def main(config, directory):
         draw_robot(plant, record, directory, config.animate, task.obstacles)
     save_json(directory / "metrics.json", report.facts)
     print(in_a_sentence(loaded.card["name"], report.metrics), report, directory / "record.h5", sep="\n")
-    save_result(directory, report.metrics)
+    save_result(directory, report.metrics, found=found_row(config))
     return report.metrics["ise"]
 
 

@@ -6,33 +6,19 @@ ssmr delay-study data.path=FILE.h5 record=record.h5
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from ssmr_torch.entry_point import entry_point, save_json
-
-
-def controlled_run(config, dataset):
-    """The record of a closed loop, or the longest controlled test run."""
-    from ssmr_torch.closed_loop.record import ClosedLoopRecord
-    from ssmr_torch.trajectory import Trajectory
-
-    if config.record is not None:
-        record = ClosedLoopRecord.load(config.record)
-        columns = [record.output_names.index(name) for name in dataset.output_names]
-        return Trajectory(record.time, record.observation[:, columns], record.input)
-    runs = dataset.select("test", "controlled")
-    if not runs:
-        raise ValueError("the data hold no controlled test run; give record=FILE.h5 of ssmr control")
-    return max(runs, key=lambda run: run.length).read()
+from ssmr_torch.entry_point import entry_point
+from ssmr_torch.result_files import save_json
 
 
 @entry_point("delay_study")
 def main(config, directory):
     from ssmr_torch.evaluation import figures, study_figures
-    from ssmr_torch.paper.delay_study import format_reconstruction, reconstruction_study
+    from ssmr_torch.paper.delay_study import controlled_run, format_reconstruction, reconstruction_study
     from ssmr_torch.provenance import provenance
 
     dataset = instantiate(config.data).observing(config.outputs)
     decays = dataset.select("train", "decay")
-    run = controlled_run(config, dataset)
+    run = controlled_run(config.record, dataset)
     rows = reconstruction_study(decays, run, **instantiate(config.manifold))
     figures.save(study_figures.reconstruction(rows, run.observation, dataset.output_names), directory / "delays.svg")
     numbers = [{name: value for name, value in row.items() if name != "outputs"} for row in rows]

@@ -15,10 +15,13 @@ from pathlib import Path
 
 from ssmr_torch import __version__
 from ssmr_torch.extras import remedy, require
+from ssmr_torch.renamed import COMMANDS as RENAMED
+from ssmr_torch.renamed import SINCE, refuse_old_names
 
+OF_THE_PAPER = ("delay-study", "reproduce") if find_spec("ssmr_torch.paper") else ()  # paper/ can be deleted
 COMMANDS = ("collect", "check", "train", "compare", "export", "evaluate", "design", "control", "commission",
-            "serve-controller", "serve-plant", "report", "delay-study", "reproduce", "benchmark")
-SEARCHES = ("sweep=", "tuning=")
+            "serve-controller", "serve-plant", "report", *OF_THE_PAPER, "benchmark", "docs-numbers")
+SEARCH = "search="
 COMPLETION = ("-sc", "--shell-completion")  # as Hydra has it
 
 
@@ -34,10 +37,18 @@ def main() -> int | None:
         return 0
     if first in COMPLETION:
         return complete(arguments)
+    if first in RENAMED:
+        print(f"ssmr: {first} is {RENAMED[first]} since version {SINCE}", file=sys.stderr)
+        return 2
     if first.replace("_", "-") not in COMMANDS:
         near = difflib.get_close_matches(first, COMMANDS, n=1)
         print(f"ssmr: there is no command {first!r}{f'; did you mean {near[0]}?' if near else ''}\n"
               f"the commands are {', '.join(COMMANDS)}; ssmr --help says what they do", file=sys.stderr)
+        return 2
+    try:
+        refuse_old_names(arguments[1:])
+    except ValueError as error:
+        print(f"ssmr {first}: {error}", file=sys.stderr)
         return 2
     return start(first, arguments[1:])
 
@@ -46,7 +57,7 @@ def start(command: str, arguments: list[str], program: str | None = None) -> int
     """Run an entry point with these arguments, under the name of its script, with which it can start itself again."""
     sys.argv = [program or str(script(command)), *arguments]
     try:
-        if any(argument.startswith(SEARCHES) for argument in arguments):
+        if any(argument.startswith(SEARCH) for argument in arguments):
             require("optuna")  # else Hydra says only that it has no such sweeper
         entry = import_module(f"ssmr_torch.experiments.{script(command).stem}").main
     except ModuleNotFoundError as error:

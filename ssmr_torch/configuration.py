@@ -19,23 +19,56 @@ from hydra._internal.core_plugins import file_config_source
 from hydra._internal.sources_registry import SourcesRegistry
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.object_type import ObjectType
 from hydra.plugins.config_source import ConfigResult
 from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
+from ssmr_torch import found_settings, option_tables
 from ssmr_torch.defaults import is_library, keyword_defaults
+from ssmr_torch.renamed import refuse_old_names
 
 HERE = Path(__file__).resolve().parent
 SOURCE = "file"
 
 
 class FileConfigSource(file_config_source.FileConfigSource):
-    """Files of a folder, each with the defaults of what it names; of Hydra's own name, which it takes the place of."""
+    """Files of a folder and entries of its tables (`option_tables`), each with the defaults of what it names.
+
+    Its name is that of Hydra's own class, which it takes the place of.
+    """
 
     def load_config(self, config_path: str) -> ConfigResult:
-        result = super().load_config(config_path)
+        entry = None if super().is_config(config_path) else option_tables.option(Path(self.path), config_path)
+        if entry is None:
+            result = super().load_config(config_path)
+        else:
+            content, package = entry
+            result = ConfigResult(config=OmegaConf.create(content), path=f"{self.scheme()}://{self.path}",
+                                  provider=self.provider, header={"package": package})
         fill(result.config)
         return result
+
+    def is_config(self, config_path: str) -> bool:
+        if config_path.partition("/")[0] in option_tables.HIDDEN:
+            return False
+        return super().is_config(config_path) or option_tables.option(Path(self.path), config_path) is not None
+
+    def is_group(self, config_path: str) -> bool:
+        if config_path.partition("/")[0] in option_tables.HIDDEN:
+            return False
+        return super().is_group(config_path) or config_path in option_tables.groups(Path(self.path))
+
+    def list(self, config_path: str, results_filter: ObjectType | None) -> list[str]:
+        """Names of the groups, of the options, or of both, that a group holds in files and tables."""
+        place, found = Path(self.path), []
+        files = super().list(config_path, results_filter) if super().is_group(config_path) else []
+        if results_filter in (None, ObjectType.GROUP):
+            found += [group.rpartition("/")[2] for group in option_tables.groups(place)
+                      if group.rpartition("/")[0] == config_path]
+        if results_filter in (None, ObjectType.CONFIG):
+            found += option_tables.entries(place, config_path)
+        return sorted({*files, *found})
 
 
 def register() -> None:
@@ -68,10 +101,11 @@ def composed(entry: str, overrides: Sequence[str] = (), *, hydra: bool = False,
     """conf/ENTRY.yaml as the command line composes it with these overrides; hydra: with Hydra's own settings as well.
 
     Groups of the user's own count: those in config_dir, and those that --config-dir gave to the command that runs.
-    Raises ValueError for a config_dir that is no folder, and Hydra's ConfigCompositionException for overrides that the
-    configuration does not have.
+    Raises ValueError for a config_dir that is no folder and for names of earlier versions, and Hydra's
+    ConfigCompositionException for overrides that the configuration does not have.
     """
     register()
+    refuse_old_names(overrides)
     if config_dir is not None and not Path(config_dir).is_dir():
         raise ValueError(f"config_dir is {config_dir}, which is no folder; expected one with groups, such as "
                          "model/NAME.yaml")
@@ -79,6 +113,23 @@ def composed(entry: str, overrides: Sequence[str] = (), *, hydra: bool = False,
     overrides = [*overrides, *([f"hydra.searchpath={[f'file://{place}' for place in own]}"] if own else [])]
     with _left_as_found(), initialize_config_dir(str(folder()), version_base="1.3"):
         return compose(entry, overrides, return_hydra_config=hydra)
+
+
+def options(group: str, config_dir: str | Path | None = None) -> list[str]:
+    """Names of the options of a group, in files and tables of the package, of --config-dir, and of config_dir."""
+    places = [folder(), *map(Path, own_folders()), *([] if config_dir is None else [Path(config_dir)])]
+    sources = [FileConfigSource("main", f"{SOURCE}://{place}") for place in places]
+    return sorted({name for source in sources if source.is_group(group)
+                   for name in source.list(group, ObjectType.CONFIG)})
+
+
+def settings_lines(config: DictConfig, choices: Mapping) -> list[str]:
+    """What a run says first: which row of found settings it takes, or that the defaults hold.
+
+    choices: option by group. Raises ValueError for settings=found without a robot.
+    """
+    return list(found_settings.lines(config.get("found"), choices, lambda robot, model: model in options(
+        f"{option_tables.OF_MODELS}{robot}")))
 
 
 def plain(config: DictConfig, without: Sequence[str] = ()) -> dict:

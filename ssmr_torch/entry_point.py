@@ -17,10 +17,11 @@ from hydra.errors import InstantiationException
 from hydra.types import RunMode
 from omegaconf import DictConfig, MissingMandatoryValue, OmegaConf
 
-from ssmr_torch.configuration import folder, register
+from ssmr_torch.configuration import folder, register, settings_lines
 from ssmr_torch.extras import remedy
 from ssmr_torch.provenance import provenance
 from ssmr_torch.quiet_libraries import quiet
+from ssmr_torch.renamed import refuse_old_names
 from ssmr_torch.result_files import save_json
 
 THEIRS = ("MisconfigurationException",)  # what Lightning raises for a trainer that is not possible here
@@ -39,6 +40,8 @@ def entry_point(name: str):
             keep_memory()
             directory = Path(HydraConfig.get().runtime.output_dir)
             try:
+                for line in settings_lines(config, HydraConfig.get().runtime.choices):
+                    print(line, flush=True)
                 return function(config, directory)
             except Exception as error:
                 cause = error.__cause__ or error if isinstance(error, InstantiationException) else error
@@ -51,9 +54,23 @@ def entry_point(name: str):
 
         look_here()
         register()
-        return hydra.main(version_base="1.3", config_path=str(folder()), config_name=name)(task)
+        return in_names_of_this_version(name, hydra.main(version_base="1.3", config_path=str(folder()),
+                                                         config_name=name)(task))
 
     return decorate
+
+
+def in_names_of_this_version(name: str, main):
+    """main, which ends in one message where the command line has names of earlier versions."""
+    @functools.wraps(main)
+    def checked(*given):
+        try:
+            refuse_old_names(sys.argv[1:] if not given else ())
+        except ValueError as error:
+            raise SystemExit(f"{name}: {error}") from error
+        return main(*given)
+
+    return checked
 
 
 def offer(group: str, options: Mapping[str, Mapping]) -> None:
@@ -76,7 +93,7 @@ def look_here() -> None:
 
 
 def refuse(message: str, directory: Path, error: Exception, expected: bool) -> float:
-    """A single run ends here; a job of a sweep is recorded as failed with an infinite metric, and the sweep goes on."""
+    """End a single run here; record a job of a multirun as failed, with an infinite metric: the others go on."""
     if HydraConfig.get().mode != RunMode.MULTIRUN:
         raise SystemExit(message) from error
     logging.getLogger(__name__).error(message, exc_info=None if expected else error)
@@ -99,7 +116,12 @@ def origin_of(config: DictConfig, resolve: bool = True) -> dict:
     return provenance(OmegaConf.to_container(config, resolve=resolve))
 
 
+def found_row(config: DictConfig) -> dict | None:
+    """The row of found settings that a run takes, as its configuration tells it; None without."""
+    return OmegaConf.to_container(config.found) if config.get("found") else None
+
+
 def save_result(directory: Path, metrics: dict, **more) -> None:
-    """result.json: the metrics of this job, and what else tells it from others, for the table of a sweep."""
+    """result.json: the metrics of this job, and what else tells it from others, for the table of a multirun."""
     save_json(directory / "result.json",
               {"overrides": list(HydraConfig.get().overrides.task), "metrics": metrics} | more)

@@ -10,7 +10,8 @@ BROUGHT_BY = {  # module → extra of pyproject.toml
     "pyarrow": "parquet", "meshio": "plants",
     "matplotlib": "plots", "fontTools": "plots", "jinja2": "plots", "wandb": "wandb", "zmq": "wire", "daqp": "daqp",
     "qpsolvers": "qpsolvers", "onnx": "onnx", "onnxruntime": "onnx", "onnxscript": "onnx", "casadi": "casadi",
-    "optuna": "sweeps", "joblib": "parallel", "rerun": "view", "mujoco": "robots", "elastica": "robots",
+    "optuna": "search", "joblib": "parallel", "doit": "parallel", "submitit": "cluster",
+    "ray": "ray", "rerun": "view", "mujoco": "robots", "elastica": "robots",
     "soromox": "robots", "jax": "robots",
 }
 

@@ -9,6 +9,7 @@ from operator import attrgetter
 from typing import Any
 
 from ssmr_torch.extras import remedy
+from ssmr_torch.renamed import NAMES
 
 
 def found(home: str) -> Any:
@@ -30,9 +31,11 @@ def lazily(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], obje
     """`__getattr__` and `__dir__` for a package whose names are defined in other modules.
 
     homes: the place of each name, in the form of `found`. Other names raise AttributeError, which lists the names that
-    exist.
+    exist, or says the new name of one that has moved.
     """
     def get(name: str) -> object:
+        if moved := NAMES.get(f"{package}.{name}"):
+            raise AttributeError(f"{package}.{name} is now {moved}", name=name, obj=sys.modules[package])
         if name not in homes:
             raise AttributeError(f"{package} has no {name!r}; it has {', '.join(sorted(homes))}", name=name,
                                  obj=sys.modules[package])

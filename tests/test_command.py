@@ -1,11 +1,14 @@
 """The command: what it lists, refuses and completes, and that it is the script of the same name."""
 
+import ast
 import os
 import re
 import runpy
 import shlex
+import shutil
 import subprocess
 import sys
+import tokenize
 import tomllib
 from importlib.metadata import packages_distributions
 from pathlib import Path
@@ -21,10 +24,16 @@ from ssmr_torch.entry_point import offer
 ROOT = Path(__file__).resolve().parents[1]
 CONF, EXPERIMENTS = ROOT / "conf", ROOT / "experiments"
 SSMR = Path(sys.executable).with_name("ssmr")
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), ROOT / "docs/tutorials/your_own_data.py",
-             *(command.script(name) for name in command.COMMANDS)]
+PAGES = [ROOT / "README.md", *filter(Path.is_file, [ROOT / "CONTRIBUTING.md"]), *sorted((ROOT / "docs").rglob("*.md")),
+         ROOT / "docs/tutorials/your_own_data.py"]
+SOURCES = [path for folder in ("ssmr_torch", "experiments", "conf") for path in sorted((ROOT / folder).rglob("*"))
+           if path.suffix in (".py", ".yaml")]
 NAMED = re.compile(rf"\bssmr ({'|'.join(command.COMMANDS)})\b((?: (?![|#])(?:\\\n)?[^`#\n;]*)?)")
-OF_THE_READER = re.compile(r"…|^[A-Z]+$|^(MODEL|EXPERIMENT|ROBOT)")  # what stands for something of the reader's own
+# key=value, where the value may have quotes or brackets; a sentence may go on after it
+OPTION = re.compile(r"""(?<!\S)(?:'[~+]*[\w@./]+=[^']*'|"[~+]*[\w@./]+=[^"]*"|[~+]*[\w@./]+=(?:'[^']*'|"[^"]*"|"""
+                    r"""\[[^\]]*\]|[^\s'"\[][^\s'"]*[^\s'";:,.)]|[^\s'"\[;:,.)]))""")
+# what stands for something of the reader's own
+OF_THE_READER = re.compile(r"…|(^|/)[A-Z]+$|^(MODEL|ROBOT)")
 
 
 def ssmr(*arguments, **environment):
@@ -139,7 +148,7 @@ def test_a_class_of_ones_own_is_found_in_the_working_directory_and_results_lie_t
 
 @pytest.mark.parametrize(("line", "expected", "unexpected"), [
     ("ssmr tr", {"train"}, set()), ("ssmr ", set(command.COMMANDS), set()),
-    ("ssmr train model=ss", {"model=ssmr", "model=sssr", "model=ssmr_guarded"}, {"model=dmd"}),
+    ("ssmr train model=ss", {"model=ssmr", "model=sssr", "model=ssmr_stability_guard"}, {"model=dmd"}),
     ("ssmr serve-plant plant=trunk_", {"plant=trunk_coarse"}, {"plant=diamond"}),
     ("ssmr nothing model=", set(), {"model=ssmr"})])
 def test_the_shell_completes_commands_and_options(line, expected, unexpected):
@@ -163,9 +172,9 @@ def test_without_hydra_a_command_says_what_to_install():
 
 def test_without_optuna_a_search_says_what_to_install():
     code = "import sys; sys.modules['optuna'] = None; from ssmr_torch.command import main; sys.exit(main())"
-    done = subprocess.run([sys.executable, "-c", code, "train", "-m", "sweep=ssmr"], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", code, "train", "-m", "search=ssmr"], capture_output=True, text=True)
     assert done.returncode == 1
-    assert done.stderr == "ssmr train: optuna is not installed: pip install 'ssmr_torch[sweeps]'\n"
+    assert done.stderr == "ssmr train: optuna is not installed: pip install 'ssmr_torch[search]'\n"
 
 
 def test_without_torch_a_command_says_what_to_install(tmp_path):
@@ -183,25 +192,47 @@ def test_every_package_that_a_message_names_is_brought_by_that_extra():
     for module, extra in extras.BROUGHT_BY.items():
         names = {name.lower() for name in distributions.get(module, [module])} | {extra == "view" and "rerun-sdk"}
         required = {re.split(r"[\[<>=!; ]", line)[0].lower() for line in brought[extra]}
-        assert names & required or extra in ("parallel", "sweeps"), (module, extra)
+        assert names & required or extra == "parallel", (module, extra)
     assert len(project["dependencies"]) == 4
 
 
-def documented():
-    """(document, command, overrides) of every command that is shown with options."""
-    for path in DOCUMENTS:
-        text = path.read_text(encoding="utf-8").replace("\\\n", " ")
+def explained(path):
+    """The docstrings and comments of a Python file; the comments of a configuration."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".yaml":
+        return "\n".join(re.findall(r"(?m)(?:^|\s)#\s?(.*)$", text))
+    nodes = [node for node in ast.walk(ast.parse(text))
+             if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef))]
+    with open(path, "rb") as file:
+        comments = [token.string.lstrip("# ") for token in tokenize.tokenize(file.readline)
+                    if token.type == tokenize.COMMENT]
+    return "\n".join([*(ast.get_docstring(node) or "" for node in nodes), *comments])
+
+
+def shown():
+    """(document, command, what follows it) of every command that pages, docstrings and comments show with options."""
+    for path in [*PAGES, *SOURCES]:
+        text = (explained(path) if path in SOURCES else path.read_text(encoding="utf-8")).replace("\\\n", " ")
         for name, rest in NAMED.findall(text):
-            given = shlex.split(rest, posix=True)
-            given = as_overrides(given) if name == "benchmark" and given else given
-            words = [word for word in given if "=" in word or word == "~tuned"]
-            kept = tuple(word for word in words if not OF_THE_READER.search(word.partition("=")[2])
-                         and not word.endswith("…"))
-            own = re.search(r"--config-dir (\S+)", rest)
-            if own:  # docs/extending.md shows the package of tests/extension
-                kept += (f"hydra.searchpath=['file://{ROOT}/tests/extension/{own[1]}']",)
-            if kept:
-                yield pytest.param(name, kept, id=f"{path.name}: {name} {' '.join(kept)}")
+            yield path, name, rest
+
+
+def documented():
+    """(command, overrides) of all of them, without what stands for something of the reader's own."""
+    seen = set()
+    for path, name, rest in shown():
+        words = [shlex.split(word)[0] for word in OPTION.findall(rest)]
+        kept = tuple(word for word in words if not OF_THE_READER.search(word.partition("=")[2])
+                     and not word.endswith("…"))
+        own = re.search(r"--config-dir (\S+)", rest)
+        first = next(iter(rest.split()), "")
+        if name == "benchmark" and first.islower() and "=" not in first:
+            kept = tuple(as_overrides([first, *kept]))
+        if own:  # docs/extending.md shows the package of tests/extension
+            kept += (f"hydra.searchpath=['file://{ROOT}/tests/extension/{own[1]}']",)
+        if kept and (path, name, kept) not in seen:
+            seen.add((path, name, kept))
+            yield pytest.param(name, kept, id=f"{path.name}: {name} {' '.join(kept)}")
 
 
 @pytest.fixture(scope="module")
@@ -213,7 +244,49 @@ def configurations():
 
 @pytest.mark.parametrize(("name", "words"), list(documented()))
 def test_every_documented_command_composes(name, words, configurations):
+    
     overrides = OverridesParser.create().parse_overrides([word for word in words if word != "--multirun"])
     single = [f"{override.input_line.partition('=')[0]}={next(iter(override.sweep_string_iterator()))}"
               if override.is_sweep_override() else override.input_line for override in overrides]
     compose(name.replace("-", "_"), single, return_hydra_config=True)
+
+
+CHEAP = ("check", "export", "evaluate")
+STAND_INS = {"FILE.h5", "trajectories.h5", "FILE.ckpt", "DIR", "[A,B]"}  # what `recorded` has
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A folder with what the pages call FILE.h5, FILE.ckpt, DIR, A and B."""
+    at = tmp_path_factory.mktemp("recorded")
+    small = ["excitation.decays.count=20", "excitation.validation_decays=1", "excitation.test_decays=1",
+             "excitation.decay_duration=2.0", "excitation.progress=false", "plant=slow_manifold", "workers=1"]
+    lines = [["collect", *small, "hydra.run.dir=collect"]]
+    for model, name in (("ssmr", "A"), ("sssr", "B")):
+        lines += [["train", f"model={model}", "data.path=collect/trajectories.h5", f"hydra.run.dir={model}"],
+                  ["export", f"checkpoint={model}/model.ckpt", f"artifact={name}", f"name={name}", "formats=[]"]]
+    for line in lines:
+        subprocess.run([SSMR, *line], cwd=at, check=True, capture_output=True)
+    for source, name in (("collect/trajectories.h5", "FILE.h5"), ("collect/trajectories.h5", "trajectories.h5"),
+                         ("ssmr/model.ckpt", "FILE.ckpt")):
+        shutil.copy(at / source, at / name)
+    shutil.copytree(at / "A", at / "DIR")
+    return at
+
+
+def cheap():
+    """Commands of a few seconds whose files all have stand-ins."""
+    for path, name, rest in shown():
+        words = [shlex.split(word)[0] for word in OPTION.findall(rest)]
+        files = {word.partition("=")[2] for word in words
+                 if word.partition("=")[0] in ("checkpoint", "artifact", "data", "data.path", "recordings")}
+        if name in CHEAP and path in PAGES and files and files <= STAND_INS:
+            yield pytest.param(name, words, id=f"{path.name}: {name} {' '.join(words)}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "words"), list(cheap()))
+def test_a_cheap_documented_command_runs(name, words, recorded):
+    done = subprocess.run([SSMR, name, *words, f"hydra.run.dir=run_{name}"], cwd=recorded, capture_output=True,
+                          text=True)
+    assert done.returncode == 0, done.stderr

@@ -1,6 +1,7 @@
 """Every configuration composes and instantiates, and every partial is called."""
 
 import inspect
+from datetime import date
 from functools import partial
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
+from ssmr_torch import configuration, found_settings
 from ssmr_torch.closed_loop.rerun_view import RerunView
 from ssmr_torch.data.derivatives import Stencil
 from ssmr_torch.fitting.lightning_fit import ModelFit
@@ -28,13 +30,15 @@ CONF = Path(__file__).resolve().parents[1] / "conf"
 PRIMARY = sorted(path.stem for path in CONF.glob("*.yaml") if path.stem != "directories")
 
 
-def group(name: str) -> list[str]:
-    return sorted(path.stem for path in (CONF / name).glob("*.yaml"))
+group = configuration.options
+ROBOTS = sorted(path.stem for path in (CONF / "found").glob("*.yaml"))
+ROWS = [(robot, model) for robot in ROBOTS for model in group(f"row/found/{robot}")]
+FOUND_CONTROLLERS = [f"{robot}/{model}" for robot in ROBOTS for model in group(f"controller/{robot}")]
 
 
 @pytest.fixture(autouse=True)
 def configurations():
-    OmegaConf.register_new_resolver("upper", str.upper, replace=True)
+    configuration.register()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         yield
 
@@ -42,7 +46,7 @@ def configurations():
 @pytest.mark.parametrize("name", PRIMARY)
 def test_every_entry_point_has_a_configuration_that_composes(name):
     config = compose(name, return_hydra_config=True)
-    assert config.hydra.run.dir and config.hydra.callbacks.sweep_table
+    assert config.hydra.run.dir and config.hydra.callbacks.multirun_table
     assert (CONF.parent / "experiments" / f"{name}.py").is_file()
 
 
@@ -115,12 +119,37 @@ def test_a_refinement_takes_the_closed_form_with_every_derivative(derivative):
     assert set(builds("model=ssmr", "fit=rollout", f"derivative={derivative}").fit) == {"closed_form", "refinement"}
 
 
-@pytest.mark.parametrize("tuned", sorted((CONF / "tuned").glob("*/*.yaml")), ids=lambda path: f"{path.parent.name}/"
-                         f"{path.stem}")
-def test_what_was_tuned_is_taken_up_with_its_experiment_and_model(tuned):
-    config = builds(f"experiment={tuned.parent.name}", f"model={tuned.stem}")
-    for section, values in OmegaConf.to_container(OmegaConf.load(tuned)).items():
+@pytest.mark.parametrize(("robot", "model"), ROWS)
+def test_a_row_of_found_settings_is_taken_when_it_is_asked_for_and_builds(robot, model):
+    row = found_settings.read(CONF / "found" / f"{robot}.yaml")["models"][model]
+    config = builds(f"robot={robot}", f"model={model}", "settings=found")
+    for section, values in row["settings"].items():
         assert _within(values, OmegaConf.to_container(config[section]))
+    assert config.found == {"table": f"conf/found/{robot}.yaml", "row": f"models.{model}"} | row["found"]
+
+
+@pytest.mark.parametrize("controller", FOUND_CONTROLLERS)
+def test_a_row_of_found_settings_of_a_controller_is_an_option_of_the_controller(controller):
+    robot, _, model = controller.partition("/")
+    row = found_settings.read(CONF / "found" / f"{robot}.yaml")["controllers"][model]
+    config = compose("control", [f"controller={controller}"])
+    assert _within(row["settings"], OmegaConf.to_container(config.controller))
+    assert config.found.row == f"controllers.{model}" and config.found.model.startswith(f"model={model} ")
+
+
+def test_every_row_says_when_and_how_it_was_found():
+    for robot in ROBOTS:
+        for rows in found_settings.read(CONF / "found" / f"{robot}.yaml").values():
+            for row in rows.values():
+                assert date.fromisoformat(row["found"]["date"])
+                assert {"command", "budget", "trials", "seed", "metric", "score"} <= set(row["found"]) or \
+                    row["found"]["note"].startswith(("Chosen by hand", "The closed form that search=ssmr found"))
+
+
+def test_without_being_asked_for_no_found_settings_are_taken():
+    assert "found" not in compose("train", ["robot=trunk", "model=ssmr"])
+    assert compose("train", ["robot=trunk", "model=ssmr"]).model.state_dim == 6
+    assert compose("train", ["robot=trunk", "model=ssmr", "settings=found"]).model.state_dim == 10
 
 
 def has(config, key: str) -> bool:
@@ -130,26 +159,25 @@ def has(config, key: str) -> bool:
     return last in config
 
 
-@pytest.mark.parametrize("sweep", group("sweep"))
-def test_every_sweep_searches_settings_that_its_model_has_by_validation_and_with_the_same_effort(sweep):
-    pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="needs pip install 'ssmr_torch[sweeps]'")
-    config = compose("train", [f"sweep={sweep}"], return_hydra_config=True)
+@pytest.mark.parametrize("search", group("search"))
+def test_every_search_varies_settings_that_its_model_has_by_validation_and_with_the_same_effort(search):
+    config = compose("train", [f"search={search}"], return_hydra_config=True)
     sweeper = config.hydra.sweeper
-    assert sweeper._target_ == "hydra_plugins.study_sweeper.StudySweeper"
+    assert sweeper._target_ == "hydra_plugins.search_sweeper.SearchSweeper"
     assert config.metric.startswith("validation/") and not config.module.score_test
     assert sweeper.n_trials == 40 and sweeper.direction == "minimize"
-    if sweep != "optuna":  # the common part, for ranges of one's own
-        assert config.hydra.runtime.choices.model == sweep
+    if search != "own":  # the common part, for ranges of the user's own
+        assert config.hydra.runtime.choices.model == search
         assert len(sweeper.params) >= 4 and all(has(config, key) for key in sweeper.params)
 
 
-def test_every_model_can_be_tuned():
-    assert set(group("sweep")) == {*group("model"), "optuna"} - {"auto"}  # which chooses for itself
+def test_every_model_can_be_searched():
+    assert set(group("search")) == {*group("model"), "own"} - {"auto"}  # which chooses for itself
 
 
-@pytest.mark.parametrize("tuning", group("tuning"))
-def test_every_tuning_searches_settings_that_its_controller_has_on_a_task_of_its_own(tuning):
-    config = compose("control", [f"tuning={tuning}"], return_hydra_config=True)
+@pytest.mark.parametrize("search", group("search/controller"))
+def test_every_search_of_a_controller_varies_settings_that_it_has_on_a_task_of_its_own(search):
+    config = compose("control", [f"search=controller/{search}"], return_hydra_config=True)
     assert config.hydra.runtime.choices.task == "rose" and not config.picture
     assert config.hydra.sweeper.params and all(has(config, key) for key in config.hydra.sweeper.params)
 
@@ -207,13 +235,13 @@ def test_every_logger_takes_arguments_that_it_knows(choice):
         assert set(logger) - {"_target_"} <= set(known), name
 
 
-@pytest.mark.parametrize("experiment", group("experiment"))
-def test_every_experiment_composes_and_its_model_and_fit_build(experiment):
-    config = builds(f"experiment={experiment}")
+@pytest.mark.parametrize("robot", group("robot"))
+def test_every_robot_composes_and_its_model_and_fit_build(robot):
+    config = builds(f"robot={robot}")
     assert config.fit and not OmegaConf.is_missing(config.data, "_target_")
 
 
-@pytest.mark.parametrize("controller", group("controller"))
+@pytest.mark.parametrize("controller", [*group("controller"), *FOUND_CONTROLLERS])
 @pytest.mark.parametrize("task", group("task"))
 def test_every_controller_takes_every_task(controller, task):
     config = compose("control", [f"controller={controller}", f"task={task}"])
@@ -225,7 +253,7 @@ def test_every_controller_takes_every_task(controller, task):
         with pytest.raises(ValueError, match="has no designed controller"):
             build(_tables(len(plant.output_names)), chosen, plant.input_bounds)
         return
-    tables = _pregain(len(plant.output_names)) if "koopman_lqr" in controller else _tables(len(plant.output_names))
+    tables = _pregain(len(plant.output_names)) if "static_pregain" in controller else _tables(len(plant.output_names))
     control = build(tables, chosen, plant.input_bounds, timestep=plant.timestep,
                     output_names=plant.output_names)
     command = control(0.0, np.zeros(len(plant.output_names)))

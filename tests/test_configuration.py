@@ -13,7 +13,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import ConfigCompositionException
 from omegaconf import OmegaConf
 
-from ssmr_torch import configuration
+from ssmr_torch import configuration, option_tables
 from ssmr_torch.defaults import is_library, keyword_defaults
 
 CONF = configuration.folder()
@@ -89,6 +89,36 @@ def test_no_file_repeats_a_default(path):
     assert not list(repeated(contents(path)))
 
 
+def inherited(group: str, name: str) -> dict:
+    """What an option sets, with what the options of its own group set that it builds on."""
+    entry, _ = option_tables.option(CONF, f"{group}/{name}") or (contents(CONF / group / f"{name}.yaml"), None)
+    parents = [each for each in entry.pop("defaults", []) if isinstance(each, str) and each != "_self_"]
+    merged = OmegaConf.merge(*(inherited(group, parent) for parent in parents), entry)
+    return OmegaConf.to_container(merged)
+
+
+def echoed(own, before, path: str = "") -> Iterator[str]:
+    """Where an option sets what it would have without."""
+    for name, value in own.items():
+        if isinstance(value, dict) and isinstance(before.get(name), dict):
+            yield from echoed(value, before[name], f"{path}{name}.")
+        elif name in before and before[name] == value and name not in ("_target_", "defaults"):
+            yield f"{path}{name} = {value!r}"
+
+
+@pytest.mark.parametrize(("group", "name"), [
+    (group, name) for group in sorted({*option_tables.groups(CONF), "excitation", "model", "fit", "controller"})
+    for name in configuration.options(group) if not group.startswith(("row/", "controller/"))])
+def test_no_option_repeats_what_it_inherits(group, name):
+    entry, _ = option_tables.option(CONF, f"{group}/{name}") or (contents(CONF / group / f"{name}.yaml"), None)
+    parents = [each for each in entry.pop("defaults", []) if isinstance(each, str) and each != "_self_"]
+    for parent in parents:
+        before = inherited(group.partition("/")[0], parent)
+        configured = OmegaConf.create(before)
+        configuration.fill(configured)
+        assert not list(echoed(entry, OmegaConf.to_container(configured)))
+
+
 def test_a_repeated_default_would_be_found_at_any_depth():
     node = {"controlled": [{"excitation": {"_target_": "ssmr_torch.collection.excitation.SmoothRandom", "share": 0.5,
                                             "knot_interval": 0.4}}],
@@ -145,10 +175,10 @@ def test_what_a_defaults_list_puts_into_a_mapping_stays():
 
 def test_libraries_are_left_as_they_are():
     assert is_library("lightning") and is_library("os") and not is_library("ssmr_torch")
-    assert set(configuration.composed("train").trainer) == set(contents(CONF / "trainer" / "cpu.yaml"))
+    assert set(configuration.composed("train").trainer) == set(contents(CONF / "groups" / "trainer.yaml")["cpu"])
 
 
-@pytest.mark.parametrize("model", sorted(path.stem for path in (CONF / "model").glob("*.yaml")))
+@pytest.mark.parametrize("model", configuration.options("model"))
 def test_no_model_is_configured_with_what_the_data_give(model):
     config = configuration.composed("train", [f"model={model}"]).model
     assert not {"input_dim", "output_dim", "window_timestep"} & set(config) and config.get("timestep") is None

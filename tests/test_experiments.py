@@ -5,7 +5,6 @@ import csv
 import io
 import json
 import os
-import sqlite3
 import subprocess
 import sys
 import time
@@ -14,12 +13,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from omegaconf import OmegaConf
 
-from ssmr_torch import command
+from ssmr_torch import command, found_settings
 from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.deployment import artifact
-from ssmr_torch.experiments.sweep_table import baselines, save_best, save_controller
+from ssmr_torch.search.multirun_table import baselines
 from ssmr_torch.trajectory import TrajectoryDataset
 
 SSMR = Path(sys.executable).with_name("ssmr")
@@ -98,8 +96,8 @@ def trunk_line(tmp_path_factory):
     process.wait()
     kept = {path: path.stat().st_mtime_ns for path in at.glob("collect/recorded/*.h5")}
     run("collect", *TRUNK, *short, cwd=at)
-    run("train", "experiment=trunk", "model=sssr", "data.path=collect/trajectories.h5", *QUIET, "hydra.run.dir=train",
-        cwd=at)
+    run("train", "robot=trunk", "model=sssr", "settings=found", "data.path=collect/trajectories.h5", *QUIET,
+        "hydra.run.dir=train", cwd=at)
     run("export", "checkpoint=train/model.ckpt", "artifact=artifact", "hydra.run.dir=export", cwd=at)
     run("control", *TRUNK, "artifact=artifact", "controller=scp_trunk", "task=letter", "task.duration=4.0",
         "task.half_size=0.008", "progress=false", "animate=true", "hydra.run.dir=control", cwd=at)
@@ -205,7 +203,7 @@ def test_training_resumes_as_it_was_begun_and_can_be_refined_by_rollouts(line):
     assert after["validation/rmse"] <= before["validation/rmse"]
     assert (line / "refined" / "checkpoints" / "refinement" / "best.ckpt").is_file()
     changed = start("train", *same, "model.delays=2", "resume=true", cwd=line)
-    assert "was begun with model.delays=1, now it is 2" in changed.stderr and "Traceback" not in changed.stderr
+    assert "was started with model.delays=1, but now it is 2" in changed.stderr and "Traceback" not in changed.stderr
     elsewhere = start("train", *same[:-1], "resume=true", "hydra.run.dir=elsewhere", cwd=line)
     assert "there are no checkpoints below" in elsewhere.stderr
 
@@ -222,8 +220,8 @@ def test_a_job_that_fails_leaves_the_rest_of_its_sweep_and_the_table(line):
 
 @pytest.mark.slow
 def test_a_search_goes_on_where_it_was_never_sees_the_test_runs_and_leaves_the_best_settings(line):
-    pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="needs pip install 'ssmr_torch[sweeps]'")
-    command = ["train", "-m", "sweep=sssr", "data.path=collect/trajectories.h5", "module.starts=100",
+    pytest.importorskip("optuna", reason="needs pip install 'ssmr_torch[search]'")
+    command = ["train", "-m", "search=sssr", "data.path=collect/trajectories.h5", "module.starts=100",
                "hydra.sweep.dir=search"]
     run(*command, "hydra.sweeper.n_trials=3", cwd=line)
     before = {path: path.stat().st_mtime_ns for path in line.glob("search/*/result.json")}
@@ -234,56 +232,42 @@ def test_a_search_goes_on_where_it_was_never_sees_the_test_runs_and_leaves_the_b
     assert {row["job"] for row in rows} == set("01234") and len({row["overrides"] for row in rows}) == 5
     scores = [float(row["validation/relative"]) for row in rows]
     assert scores == sorted(scores) and not any(column.startswith("test/") for column in rows[0])
-    best = OmegaConf.load(line / "search" / "best.yaml")
-    assert f"model.state_dim={best.model.state_dim}" in rows[0]["overrides"]
-    assert f"fit.closed_form.ridge.default={best.fit.closed_form.ridge.default}" in rows[0]["overrides"]
+    row = found_settings.read(line / "search" / "found.yaml")["models"]["sssr"]
+    assert f"model.state_dim={row['settings']['model']['state_dim']}" in rows[0]["overrides"]
+    ridge = row["settings"]["fit"]["closed_form"]["ridge"]["default"]
+    assert f"fit.closed_form.ridge.default={ridge}" in rows[0]["overrides"]
+    assert row["found"]["score"] == pytest.approx(scores[0], rel=1e-3) and row["found"]["trials"] == 5
+    assert row["found"]["command"].startswith("ssmr train -m search=sssr data.path=collect/trajectories.h5")
     assert (line / "search" / "sweep.svg").is_file()
     short = run(*command[:-1], "hydra.sweep.dir=short", "search_minutes=1.0e-4", cwd=line)
     assert "the 0.0001 CPU minutes are over after 1 trials" in short
-    counted = sqlite3.connect(next((line / "short").glob("*.db"))).execute(
-        "select value_json from trial_user_attributes where key = 'cpu_seconds'").fetchall()
-    assert len(counted) == 1 and float(counted[0][0]) > 0.1
     changed = start(*command, "model.delays=3", cwd=line)
     assert "now it is ['model.delays=3']" in changed.stderr and "Traceback" not in changed.stderr
 
 
 @pytest.mark.slow
-def test_a_controller_is_tuned_on_a_task_of_its_own_and_its_best_settings_are_a_configuration(line):
-    pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="needs pip install 'ssmr_torch[sweeps]'")
-    run("control", "-m", "tuning=scp_observer", "artifact=export/0/artifact", "hydra.sweeper.n_trials=3",
-        "task.amplitude=0.008", "hydra.sweep.dir=tuning", cwd=line)
-    with open(line / "tuning" / "sweep.csv", newline="") as file:
+def test_a_controller_is_searched_on_a_task_of_its_own_and_its_best_settings_are_an_option(line):
+    pytest.importorskip("optuna", reason="needs pip install 'ssmr_torch[search]'")
+    run("control", "-m", "search=controller/scp_observer", "artifact=export/0/artifact", "hydra.sweeper.n_trials=3",
+        "task.amplitude=0.008", "save_to=mine/found/own.yaml", "hydra.sweep.dir=controllers", cwd=line)
+    with open(line / "controllers" / "sweep.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [float(row["ise"]) for row in rows] == sorted(float(row["ise"]) for row in rows) and len(rows) == 3
-    best = OmegaConf.load(line / "tuning" / "best.yaml")
-    assert list(best.defaults) == ["scp", {"override /observer@observer": "output_disturbance"}, "_self_"]
-    assert f"controller.input_weight={best.input_weight}" in rows[0]["overrides"]
-    assert f"controller.observer.measurement_noise={best.observer.measurement_noise}" in rows[0]["overrides"]
-
-
-def test_what_was_searched_with_another_fit_is_written_out_as_conf_tuned_needs_it(tmp_path):
-    (tmp_path / "0" / ".hydra").mkdir(parents=True)
-    overrides = ["model.delays=4", "fit.closed_form.ridge.default=0.1", "fit=guarded", "module.transient=0.2"]
-    (tmp_path / "0" / "result.json").write_text(json.dumps({"overrides": overrides}))
-    composed = {"fit": {"closed_form": {"ridge": {"default": 0.1}}, "guard": {"reach": 3.0}}, "model": {"delays": 4}}
-    OmegaConf.save(OmegaConf.create(composed), tmp_path / "0" / ".hydra" / "config.yaml")
-    save_best(tmp_path, {"job": "0"}, "Found.", OmegaConf.create({"model": "ssmr", "experiment": "hardware"}))
-    assert OmegaConf.load(tmp_path / "best.yaml") == composed | {"module": {"transient": 0.2}}
-
-
-def test_a_tuned_controller_without_an_observer_names_none(tmp_path):
-    (tmp_path / "0").mkdir()
-    searched = {"overrides": ["controller.input_weight=3.0", "plant=trunk"]}
-    (tmp_path / "0" / "result.json").write_text(json.dumps(searched))
-    save_controller(tmp_path, {"job": "0"}, "Found.", OmegaConf.create({"controller": "koopman_lqr"}))
-    best = OmegaConf.load(tmp_path / "best.yaml")
-    assert best == {"defaults": ["koopman_lqr", "_self_"], "input_weight": 3.0}
+    row = found_settings.read(line / "mine" / "found" / "own.yaml")["controllers"]["ssmr"]
+    assert (row["controller"], row["observer"]) == ("scp", "output_disturbance")
+    settings = row["settings"]
+    assert f"controller.input_weight={settings['input_weight']}" in rows[0]["overrides"]
+    assert f"controller.observer.measurement_noise={settings['observer']['measurement_noise']}" in rows[0]["overrides"]
+    said = run("control", "--config-dir", "mine", "controller=own/ssmr", "artifact=export/0/artifact", "task.laps=1",
+               "progress=false", "picture=false", "hydra.run.dir=own", cwd=line)
+    assert said.splitlines()[0].startswith("found settings: row controllers.ssmr of ")
+    assert json.loads((line / "own" / "result.json").read_text())["found"]["row"] == "controllers.ssmr"
 
 
 @pytest.mark.slow
 def test_a_model_of_the_tip_controls_a_robot_that_shows_more(trunk_line):
     at, _ = trunk_line
-    run("train", "experiment=trunk", "model=sssr", "data.path=collect/trajectories.h5", *QUIET,
+    run("train", "robot=trunk", "model=sssr", "settings=found", "data.path=collect/trajectories.h5", *QUIET,
         "outputs=[tip_x,tip_y,tip_z]", "model.delays=4", "hydra.run.dir=tip", cwd=at)
     run("export", "checkpoint=tip/model.ckpt", "artifact=tip_artifact", "formats=[]", "hydra.run.dir=tip_export",
         cwd=at)

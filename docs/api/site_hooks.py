@@ -1,8 +1,8 @@
-"""What mkdocs needs beyond its plugins: README and CHANGELOG as pages, formulas without a script, lines of docstrings.
+"""What mkdocs needs beyond its plugins: pages from above docs/, formulas without a script, lines of docstrings.
 
-README.md and CHANGELOG.md lie above docs/; they become the pages readme.md and changes.md, and links to them are
-rewritten. Formulas in $…$ become MathML, which browsers draw themselves: the site needs no network. Where a line of a
-docstring says what an argument is, it begins a line on the page as well.
+README.md, CONTRIBUTING.md and CHANGELOG.md lie above docs/. They become the pages readme.md, contributing.md and
+changes.md, and links to them are rewritten. Formulas in $…$ become MathML, which browsers draw themselves: the site
+needs no network. Where a line of a docstring says what an argument is, it begins a line on the page as well.
 """
 
 import re
@@ -13,7 +13,7 @@ from latex2mathml.converter import convert
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = {"readme.md": "README.md", "changes.md": "CHANGELOG.md"}
+PAGES = {"readme.md": "README.md", "contributing.md": "CONTRIBUTING.md", "changes.md": "CHANGELOG.md"}
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 
 PARAGRAPH = re.compile(r"<p>.*?</p>", re.DOTALL)

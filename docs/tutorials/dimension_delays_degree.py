@@ -1,6 +1,6 @@
 """How many reduced coordinates, delays and degrees: one sweep of each on a robot whose answer is known.
 
-python docs/tutorials/dimension_delays_degree.py prints the numbers of the tutorial and draws its figures.
+python docs/tutorials/dimension_delays_degree.py stores the numbers of the tutorial and draws its figures.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from matplotlib.ticker import StrMethodFormatter
 from ssmr_torch.collection.collect import ControlledRun, collect
 from ssmr_torch.collection.excitation import SmoothRandom, latin_hypercube_ramps
 from ssmr_torch.data.datamodule import TrajectoryDataModule
+from ssmr_torch.documents.results import store_tables
 from ssmr_torch.evaluation import figures
 from ssmr_torch.evaluation.figures import METHODS, MM, WIDTH, panels
 from ssmr_torch.evaluation.measured_rollouts import predict_trajectory
@@ -117,10 +118,23 @@ def draw_predictions(data, models, run="strong", duration=1.2):
     return figures.prediction(part.time[shown], part.observation[shown, :2], predicted, ("tip x", "tip y"))
 
 
-def summary(scores):
-    return {f"{name} {value}": {kind: f"{MM * error:.3g} mm, {100 * diverged:.3g} %"
-                                for kind, (error, diverged) in by_kind.items()}
-            for name, by_value in scores.items() for value, by_kind in by_value.items()}
+def tables(found):
+    """What the page shows, by name of the store."""
+    made = {}
+    for name, title in (("state_dim", "n"), ("delays", "delays"), ("degree", "degree")):
+        rows = [[value, *(float(MM * error) for error, _ in by_kind.values()),
+                 float(100 * by_kind["strong inputs"][1])] for value, by_kind in found["scores"][name].items()]
+        columns = [title, *(f"{kind} (mm)" for kind in KINDS), "diverged, strong (%)"]
+        made[f"tutorial_choice_of_{name}"] = (columns, rows)
+    shown = [["fitted", rates(found["eigenvalues"])], ["of the robot", rates(found["true eigenvalues"])]]
+    made["tutorial_choice_eigenvalues"] = (["eigenvalues", "1/s"], shown)
+    return made
+
+
+def rates(eigenvalues):
+    """One of each pair of eigenvalues in words, slowest first."""
+    pairs = sorted((value for value in eigenvalues if value.imag > 0), key=lambda value: value.imag)
+    return ", ".join(f"{value.real:.2f} ± {value.imag:.2f}i".replace("-", "−") for value in pairs)
 
 
 def main(directory=FIGURES, quick=False):
@@ -143,6 +157,4 @@ def main(directory=FIGURES, quick=False):
 
 
 if __name__ == "__main__":
-    found = main()
-    for name, value in (found | summary(found.pop("scores"))).items():
-        print(f"{name}: {value}")
+    store_tables(FIGURES.parents[1], tables(main()), "python docs/tutorials/dimension_delays_degree.py")

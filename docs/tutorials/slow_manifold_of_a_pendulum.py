@@ -2,7 +2,7 @@
 
     θ̈ = −c θ̇ − (g/l) sin θ + u
 
-python docs/tutorials/slow_manifold_of_a_pendulum.py prints the numbers of the tutorial and draws its figure.
+python docs/tutorials/slow_manifold_of_a_pendulum.py stores the numbers of the tutorial and draws its figure.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 
 from ssmr_torch.data.datamodule import TrajectoryDataModule
+from ssmr_torch.documents.results import store_tables
 from ssmr_torch.evaluation import figures
 from ssmr_torch.evaluation.figures import METHODS, WIDTH, panels
 from ssmr_torch.fitting.training import least_squares, train
@@ -212,6 +213,30 @@ def main(directory=FIGURES, quick=False):
     return numbers
 
 
+def tables(found):
+    """What the page shows, by name of the store."""
+    third, fifth, seventh = (f"{value:.4f}" for value in found["taylor"][1:4])
+    series = [["λ₁ (1/s), releases up to 0.5 rad, degree 5", found["slow"], found["learned slow"]],
+              ["λ₁ (1/s), releases up to 2.5 rad, degree 9", found["slow"], found["learned slow, large releases"]],
+              ["λ₂ (1/s): how fast decays fall onto the curve", found["fast"], found["collapse rate"]],
+              ["a₃, releases up to 0.5 rad", third, found["learned cubic"]], ["a₅", fifth, None], ["a₇", seventh, None],
+              ["angle per torque (s²)", found["true static gain"], found["static gain"]]]
+    errors = {name: {angle: float(value) for angle, value in by_angle.items()}
+              for name, by_angle in found["errors"].items()}
+    angles = list(next(iter(errors.values())))
+    return {"tutorial_pendulum_series": (["", "by hand", "learned"], [[name, exact(one), exact(other)]
+                                                                      for name, one, other in series]),
+            "tutorial_pendulum_errors": (["largest error of the velocity (rad/s), up to",
+                                          *(f"{angle} rad" for angle in angles)],
+                                         [[name, *by_angle.values()] for name, by_angle in errors.items()]),
+            "tutorial_pendulum_transient": (["cut from every start (s)", "λ₁ (1/s)"], [
+                [f"{cut:g}", exact(value)] for cut, value in found["learned slow by transient"].items()])}
+
+
+def exact(value):
+    """Five digits, as differences are small here."""
+    return f"{value:.5g}".replace("-", "−") if isinstance(value, float) else value
+
+
 if __name__ == "__main__":
-    for name, value in main().items():
-        print(f"{name}: {value}")
+    store_tables(FIGURES.parents[1], tables(main()), "python docs/tutorials/slow_manifold_of_a_pendulum.py")

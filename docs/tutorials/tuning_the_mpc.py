@@ -1,6 +1,6 @@
 """What the settings of the controller do, one at a time, on the analytic trunk.
 
-python docs/tutorials/tuning_the_mpc.py prints the numbers of the tutorial and draws its figures.
+python docs/tutorials/tuning_the_mpc.py stores the numbers of the tutorial and draws its figures.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from ssmr_torch.collection.excitation import SmoothRandom, latin_hypercube_ramps
 from ssmr_torch.control.kalman_observers import KalmanObserver
 from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.data.datamodule import TrajectoryDataModule
+from ssmr_torch.documents.results import store_tables
 from ssmr_torch.evaluation import figures
 from ssmr_torch.evaluation.figures import METHODS, MM, MS, SPARE_COLOURS, WIDTH, panels
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
@@ -204,7 +205,22 @@ def main(directory=FIGURES, quick=False):
     return numbers(weighed, ahead, observed, delayed)
 
 
+def tables(found):
+    """What the page shows, by name of the store."""
+    weights = [[w, found["weight"]["no noise"][w][0], *found["weight"]["noise"][w],
+                found["weight"]["noise, observer"][w][0]] for w in found["weight"]["noise"]]
+    first = found["horizon"][min(found["horizon"])][1]
+    cases = ("free, 4 rad/s", "pulled, 4 rad/s", "free, 1 rad/s", "pulled, 1 rad/s")
+    return {"tutorial_mpc_weights": (["input weight", "error without noise (mm)", "error with noise (mm)",
+                                      "change of an input per step, with noise (N)",
+                                      "error with noise and observer (mm)"], weights),
+            "tutorial_mpc_horizons": (["N", "error (mm)", "time of a step, relative to the shortest horizon"],
+                                      [[n, value, time / first] for n, (value, time) in found["horizon"].items()]),
+            "tutorial_mpc_observers": (["error (mm)", *cases], [[name, *(by_case[case] for case in cases)]
+                                                                for name, by_case in found["observer"].items()]),
+            "tutorial_mpc_late": (["controller", "error (mm)"], [["not told of the delay", found["late"][0]],
+                                                                  ["told of it", found["late"][1]]])}
+
+
 if __name__ == "__main__":
-    for name, found in main().items():
-        for setting, value in found.items() if isinstance(found, dict) else [("", found)]:
-            print(f"{name} {setting}: {value}")
+    store_tables(FIGURES.parents[1], tables(main()), "python docs/tutorials/tuning_the_mpc.py")

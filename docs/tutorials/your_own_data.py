@@ -17,6 +17,7 @@ import numpy as np
 from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.collection.collect import ControlledRun, collect
 from ssmr_torch.collection.excitation import SmoothRandom
+from ssmr_torch.documents.results import store_tables
 from ssmr_torch.evaluation import figures
 from ssmr_torch.plants.slow_manifold import SlowManifold
 
@@ -121,6 +122,23 @@ def main(directory=FIGURES, folder=ROOT / "outputs" / "tutorial", quick=False):
     return found(folder)
 
 
+def tables(found):
+    """What the page shows, by name of the store."""
+    errors = found["errors, mm"]
+    labels = [label for label in next(iter(errors.values())) if label != "full"]
+    return {"tutorial_own_data_eigenvalues": (["eigenvalues", "1/s"], [
+                ["fitted", rates(found["eigenvalues"])], ["of the robot", rates(found["true eigenvalues"])]]),
+            "tutorial_own_data_errors": (["error (mm)", *labels], [
+                [name, *(float(error[label]) for label in labels)] for name, error in errors.items()]),
+            "tutorial_own_data_letter": (["model", "RMSE (mm)", "fallbacks"], [
+                [name.upper(), value, round(found["fallbacks"][name])] for name, value in found["letter, mm"].items()])}
+
+
+def rates(eigenvalues):
+    """One of each pair of eigenvalues in words, slowest first."""
+    pairs = sorted((value for value in eigenvalues if value.imag > 0), key=lambda value: value.imag)
+    return ", ".join(f"{value.real:.2f} ± {value.imag:.2f}i".replace("-", "−") for value in pairs)
+
+
 if __name__ == "__main__":
-    for name, value in main().items():
-        print(f"{name}: {value}")
+    store_tables(ROOT, tables(main()), "python docs/tutorials/your_own_data.py")

@@ -52,7 +52,7 @@ class StaticPregainController:
         model = model.reduced.numpy()
         if not isinstance(model, PregainModel) or not model.affine or model.structure.chart.highest > 1:
             raise ValueError("this controller takes a linear Koopman model with a pregain; train one with "
-                             "model=koopman_lqr on data with static runs")
+                             "model=static_pregain on data with static runs")
         self.timestep = float(model.window_timestep if timestep is None else timestep)
         self.period = float(period)
         every = whole_steps("period", period, self.timestep)

@@ -34,6 +34,7 @@ from ssmr_torch.controller_design.recordings import Recordings, held_out, record
 from ssmr_torch.controller_design.report import DesignReport
 from ssmr_torch.controller_design.weights import choose_weights
 from ssmr_torch.provenance import provenance
+from ssmr_torch.renamed import kind_now
 from ssmr_torch.trained_model import TrainedModel
 from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 
@@ -201,7 +202,7 @@ def _kind_of(model: TrainedModel) -> str:
         raise ValueError(f"the acting inputs differ from the commands, so {model.name} must be fitted again, but its "
                          "card does not tell its kind. Give a kind by name, such as 'ssmr', or a model that was made "
                          "by fit of this version")
-    return kind
+    return kind_now(kind)
 
 
 def _bar(shown: bool):

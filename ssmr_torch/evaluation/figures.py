@@ -18,13 +18,15 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodF
 
 METHODS = {
     "SSMR": ("#0072B2", "-"), "SSSR": ("#56B4E9", "-"), "DMD": ("#E69F00", "-"), "EDMD": ("#D55E00", "-"),
-    "Koopman LQR": ("#CC79A7", "-"), "TPWL": ("#009E73", "-"), "neural ODE": ("#882255", "-"),
-    "SSMR guarded": ("#003D66", "--"), "SSMR oblique": ("#7FA8E5", "-."), "SSMR control augmented": ("#117733", "-"),
+    "static pregain": ("#CC79A7", "-"), "TPWL": ("#009E73", "-"), "neural ODE": ("#882255", "-"),
+    "SSMR stability guard": ("#003D66", "--"), "SSMR oblique": ("#7FA8E5", "-."),
+    "SSMR control augmented": ("#117733", "-"),
     "EDMD bilinear": ("#8C510A", "--"), "EDMD relift": ("#F4A582", "-."),
     "persistence": ("#999999", "--"), "constant velocity": ("#666666", ":"), "reference": ("#000000", "--"),
     "measured": ("#000000", "-")}
-# other names of the same methods
-ALIASES = {"control-augmented SSMR": "SSMR control augmented", "static pregain": "Koopman LQR"}
+# other names of the same methods, two of them in results of version 0.10 and older
+ALIASES = {"control-augmented SSMR": "SSMR control augmented", "Koopman LQR": "static pregain",
+           "SSMR guarded": "SSMR stability guard"}
 SPARE_COLOURS = ("#332288", "#999933", "#AA4499", "#44AA99", "#661100", "#DDCC77")
 STYLE = {"font.size": 8, "axes.titlesize": 8, "axes.titleweight": "bold", "legend.fontsize": 8,
          "legend.frameon": False, "lines.linewidth": 1.3, "axes.linewidth": 0.7, "axes.spines.top": False,

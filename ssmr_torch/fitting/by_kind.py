@@ -22,10 +22,11 @@ from ssmr_torch.fitting.options import dotted
 from ssmr_torch.fitting.training import Training, train
 from ssmr_torch.provenance import provenance
 from ssmr_torch.quiet_libraries import LIGHTNING, quiet
+from ssmr_torch.renamed import refuse_old_names
 from ssmr_torch.trained_model import TrainedModel
 from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 
-GROUPS = ("fit", "derivative", "plant", "trainer", "experiment")  # options that choose a file of conf/
+GROUPS = ("fit", "derivative", "plant", "trainer", "robot", "settings")  # options that choose a file of conf/
 
 
 def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name: str | None = None,
@@ -38,7 +39,8 @@ def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name
     "edmd_bilinear", "ssmr_control_augmented", "neural_ode", "tpwl", …; None: "auto".
     options: keys of the configuration with their values. A key is named by its last part if only one key ends so
     (state_dim=8, transient=0.2 s, ridge=1e-6), or by its full name, **{"fit.refinement.epochs": 0}. fit, derivative,
-    plant, experiment, choose a file of conf/. seed: for all random numbers. name: shown in tables; default: the kind.
+    plant, robot and settings choose an option of conf/; settings="found": what a search found for the robot.
+    seed: for all random numbers. name: shown in tables; default: the kind.
     directory: where the checkpoints and model.ckpt are written, as by the command; None: no file is written.
     config_dir: folder of your own configurations, like the command's --config-dir; its model/*.yaml are kinds as well.
     progress: True: progress bars and a summary; None: a summary, and bars only for a refinement; False: no output.
@@ -52,19 +54,22 @@ def fit(data: TrajectoryDataset, kind: str | None = None, *, seed: int = 0, name
     (3, 2)
     """
     refuse_other_data(data)
-    chosen, said = _kind(kind, config_dir)
+    chosen = _kind(kind, config_dir)
+    refuse_old_names(f"{key}={value}" for key, value in options.items())
     groups = {group: options.pop(group) for group in GROUPS if isinstance(options.get(group), str)}
     for group, choice in groups.items():
         _check_choice(group, choice, group, config_dir)
     config = configuration.composed("train", [f"model={chosen}", "logger=csv", f"seed={seed}", *(
         f"{group}={choice}" for group, choice in groups.items())], config_dir=config_dir)
-    plain = configuration.plain(config, without=("data", "logger", "name"))
+    plain = configuration.plain(config, without=("data", "logger", "name", "found"))
     given = {"name": name or chosen.upper()} | {f"fit.{step}.progress": False for step, node in plain["fit"].items()
                                                 if progress is False and "progress" in node}
     given |= {key: _plain(value) for key, value in dotted(options, plain).items()}
     config = configuration.changed(config, given)
-    if progress is not False and said:
-        print(said)
+    choices = {"model": chosen, "robot": groups.get("robot"), "settings": groups.get("settings")}
+    lines = configuration.settings_lines(config, choices)
+    if progress is not False and (groups.keys() & {"robot", "settings"}):
+        print(*lines, sep="\n")
     with TemporaryDirectory() as aside, _as_found():
         quiet()
         lightning.seed_everything(config.seed, workers=True, verbose=False)
@@ -94,12 +99,12 @@ def _trained(kind: str, config, data: TrajectoryDataset, directory: Path,
     return training, card | {"provenance": provenance() | {"training": made, "data": dataset.provenance}}
 
 
-def _kind(kind: str | None, config_dir: str | Path | None) -> tuple[str, str]:
-    """The kind, and a sentence about the choice. Raises ValueError for a kind that no folder has."""
+def _kind(kind: str | None, config_dir: str | Path | None) -> str:
+    """The kind, "auto" for None. Raises ValueError for a kind that no folder has."""
     if kind is None:
-        return "auto", ""
+        return "auto"
     refuse_unknown_kind(kind, config_dir)
-    return kind, ""
+    return kind
 
 
 def refuse_unknown_kind(kind: str, config_dir: str | Path | None = None) -> None:
@@ -108,9 +113,9 @@ def refuse_unknown_kind(kind: str, config_dir: str | Path | None = None) -> None
 
 
 def _check_choice(what: str, choice, group: str, config_dir: str | Path | None) -> None:
-    """Raises ValueError for a configuration file that no folder has in this group, and names the nearest one."""
-    folders = [configuration.folder(), *([] if config_dir is None else [Path(config_dir)])]
-    known = sorted({path.stem for folder in folders for path in (folder / group).glob("*.yaml")})
+    """Raises ValueError for an option that its group does not have, with the nearest one, and for an earlier name."""
+    refuse_old_names([f"{group}={choice}"])
+    known = configuration.options(group, config_dir)
     if choice not in known:
         near = get_close_matches(str(choice).lower(), known, n=1, cutoff=0.0)[0]
         raise ValueError(f"no {what} {choice!r}; did you mean {near!r}? There are {', '.join(known)}")

@@ -32,7 +32,7 @@ def compare(data: TrajectoryDataset, models: Iterable | Mapping | None = None, *
     """Fit the best form of every kind of model to the training runs, and score all on the test runs, group by group.
 
     models: names or models; default: "auto", the model whose form is chosen from the data, and all baselines. "auto" is
-    `fit(data, "auto")`. A baseline ("dmd", "edmd", "edmd_relift", "edmd_bilinear", "koopman_lqr", "sssr", "ssmr",
+    `fit(data, "auto")`. A baseline ("dmd", "edmd", "edmd_relift", "edmd_bilinear", "static_pregain", "sssr", "ssmr",
     "ssmr_control_augmented") gets the same help: its output coordinates, delays, size, ridge, and whether decays are
     used, are chosen by the same rule on the same folds, see `choose_baseline`. Any other kind ("neural_ode", "tpwl") is
     fitted by `fit`. A `TrainedModel` is used as it is; a mapping gives it a name.

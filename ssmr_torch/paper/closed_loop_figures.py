@@ -11,17 +11,9 @@ from ssmr_torch.evaluation import figures
 from ssmr_torch.evaluation.bootstrap import mean_interval
 from ssmr_torch.evaluation.figures import MM, WIDTH, styled
 from ssmr_torch.evaluation.metrics import relative_ise
-from ssmr_torch.paper.workspace_figures import (
-    BAD,
-    beside,
-    boxes,
-    draw_paths,
-    name_axes,
-    plain,
-    plain_ticks,
-    scatter_runs,
-    tiles,
-)
+from ssmr_torch.paper.error_distribution_figures import BAD, beside, boxes, scatter_runs
+from ssmr_torch.paper.figure_panels import name_axes, plain, plain_ticks, tiles
+from ssmr_torch.paper.path_figures import draw_paths
 
 REFERENCE = "SSMR"
 STATISTICS = (("ise", "ISE (mm²)", MM ** 2), ("violation_ratio", "time inside obstacles (%)", 100.0),

@@ -7,10 +7,27 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.data.windows import SegmentDataset, delay_windows
 from ssmr_torch.fitting.closed_form_fit import ExactSolve
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.trajectory import Trajectory
+
+
+def controlled_run(record: str | None, dataset):
+    """The record of a closed loop in the dataset's outputs, or without one the longest controlled test run.
+
+    Raises ValueError where there is neither.
+    """
+    if record is not None:
+        found = ClosedLoopRecord.load(record)
+        columns = [found.output_names.index(name) for name in dataset.output_names]
+        return Trajectory(found.time, found.observation[:, columns], found.input)
+    runs = dataset.select("test", "controlled")
+    if not runs:
+        raise ValueError("the data hold no controlled test run; give record=FILE.h5 of ssmr control")
+    return max(runs, key=lambda run: run.length).read()
 
 
 def reconstruction_study(decays: Sequence, run, *, delays: Sequence[int] = (4, 10, 15, 20), state_dim: int = 6,

@@ -1,18 +1,16 @@
-"""What the reproduction of the paper has to do, from its settings: jobs in stages, each with what it leaves behind.
+"""What the reproduction of the paper has to do, from its settings: jobs, each with what it needs and leaves behind.
 
-settings ─chosen figures→ closed loops, open loops, delays → models → data;   stages run in the opposite order
+chosen figures → delays, closed loops, open loops → models → data
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 PERIOD = 0.02  # s, of every closed loop; a slower method is also run at a multiple
-STAGES = ("data", "models", "open loop and runs", "delays and slower runs")
 
 
 @dataclass(frozen=True)
@@ -33,7 +31,8 @@ class Job:
     """Steps that are done together, and what tells that they are.
 
     name: directory below the reproduction's, unique. product: file that the last step leaves, below the same. needs:
-    names of jobs that come first. about: what a table says of it.
+    names of jobs that come first. about: what a table says of it. partial: done with those of its needs that there
+    are, where others failed.
     """
 
     name: str
@@ -41,31 +40,70 @@ class Job:
     steps: tuple[Step, ...]
     needs: tuple[str, ...] = ()
     about: Mapping = field(default_factory=dict)
+    partial: bool = False
 
 
-def plan(settings: Mapping, figures: str | Sequence[str] = "all") -> dict[str, list[Job]]:
-    """The jobs of each of `STAGES` that the chosen figures need, slow ones first; runs at longer periods are added by
-    `slower_runs` when the first ones are known.
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What a preset asks for.
 
-    settings: plain values of a preset (conf/preset). Recordings without a path, see `with_recordings`, are left out.
-    Raises ValueError for a figure, robot or method that the settings do not have.
+    figures: names of those that are shown. jobs: what they need, each after what it needs itself, slow models first.
+    every: the same for all figures of the settings.
     """
-    settings = _at_hand(settings)
-    known = {job.name: job for name in settings["figures"] for job in figure_runs(settings, name)}
-    its = {name: settings["figures"][name] for name in chosen(settings, figures)}
-    delays = [delay_job(settings, figure) for figure in its.values() if "delays" in figure]
-    runs = {job.name: job for name in its for job in figure_runs(settings, name)}
-    runs |= {need: known[need] for job in delays for need in job.needs if need in known}
-    scored = dict.fromkeys(robot for figure in its.values() for robot in figure.get("open_loop", ()))
-    open_loops = [open_loop_job(settings, robot) for robot in scored]
-    needed = {need for job in [*runs.values(), *open_loops] for need in job.needs}
-    needed |= {name for figure in its.values() for robot in figure.get("models", ())
-               for name in _model_names(settings, robot)}
-    models = [job for robot in settings["robots"] for job in robot_models(settings, robot) if job.name in needed]
+
+    settings: Mapping
+    figures: tuple[str, ...]
+    jobs: tuple[Job, ...]
+    every: tuple[Job, ...]
+
+    def slower(self, solve_p99: Mapping[str, float]) -> list[Job]:
+        """`slower_runs` of those closed loops whose solve times are known, s by name."""
+        return slower_runs(self.settings, [job for job in self.every if "period" in job.about], solve_p99)
+
+
+def plan(settings: Mapping, figures: str | Sequence[str] = "all", recordings: str | None = None) -> Plan:
+    """The jobs that the chosen figures need; runs at longer periods follow when the first ones are known.
+
+    settings: plain values of a preset (conf/preset). recordings: folder from which robots that are recordings (data:
+    their reader) are read; without it they are left out.
+    Raises ValueError for a figure, robot or method that the settings do not have, and recordings that are no folder.
+    """
+    settings = _at_hand(settings, recordings)
+    every, shown = _all_jobs(settings), chosen(settings, figures)
+    return Plan(settings, tuple(shown), _needed(settings, every, shown), _needed(settings, every, settings["figures"]))
+
+
+def _needed(settings: Mapping, every: Mapping[str, Job], figures: Iterable[str]) -> tuple[Job, ...]:
+    """Those of the jobs that figures show, and what these need, in the order of all."""
+    wanted = [name for figure in figures for name in _wanted(settings, figure)]
+    needed: set[str] = set()
+    while wanted:
+        name = wanted.pop()
+        if name not in needed:
+            needed.add(name)
+            wanted += every[name].needs
+    return tuple(job for job in every.values() if job.name in needed)
+
+
+def _all_jobs(settings: Mapping) -> dict[str, Job]:
+    """By name, whatever the figures: data, models, open loops, closed loops, delays."""
+    robots, figures = settings["robots"], settings["figures"]
+    data = [data_job(settings, robot) for robot in reversed(robots) if not robots[robot].get("data")]
+    models = [model_job(settings, robot, method) for robot in robots for method in robots[robot]["methods"]]
     models.sort(key=lambda job: -list(settings["models"]).index(job.about["method"]))
-    needed |= {need for job in [*models, *delays] for need in job.needs}
-    data = [data_job(settings, robot) for robot in reversed(settings["robots"]) if f"data/{robot}" in needed]
-    return dict(zip(STAGES, (data, models, [*open_loops, *runs.values()], delays)))
+    open_loops = [open_loop_job(settings, robot) for robot in robots]
+    runs = [job for name in figures for job in figure_runs(settings, name)]
+    delays = [delay_job(settings, figure) for figure in figures.values() if "delays" in figure]
+    return {job.name: job for job in (*data, *models, *open_loops, *runs, *delays)}
+
+
+def _wanted(settings: Mapping, figure: str) -> list[str]:
+    """Names of the jobs whose products a figure shows."""
+    its = settings["figures"][figure]
+    return [*(job.name for job in figure_runs(settings, figure)),
+            *(f"open_loop/{robot}" for robot in its.get("open_loop", ())),
+            *(name for robot in its.get("models", ()) for name in _model_names(settings, robot)),
+            *([f"delays/{its['delays']}"] if "delays" in its else [])]
 
 
 def chosen(settings: Mapping, figures: str | Sequence[str]) -> list[str]:
@@ -74,7 +112,7 @@ def chosen(settings: Mapping, figures: str | Sequence[str]) -> list[str]:
     Raises ValueError for a name that the settings do not have.
     """
     available = list(settings["figures"])
-    wanted = [figures] if isinstance(figures, str) else list(figures)
+    wanted = [figures] if isinstance(figures, str) else list(figures or ())
     wanted = available if "all" in wanted else wanted
     unknown = [name for name in wanted if name not in available]
     if unknown or not wanted:
@@ -83,19 +121,18 @@ def chosen(settings: Mapping, figures: str | Sequence[str]) -> list[str]:
     return [name for name in available if name in used | set(wanted)]
 
 
-def with_recordings(settings: Mapping, path: str | None) -> dict:
-    """The settings with robots that are recordings (data: their reader) read from this folder."""
-    robots = {name: dict(its) | ({"path": path} if its.get("data") else {}) for name, its in settings["robots"].items()}
-    return dict(settings) | {"robots": robots}
-
-
-def _at_hand(settings: Mapping) -> dict:
-    """The settings without recordings whose folder nobody has given."""
-    absent = {name for name, its in settings["robots"].items() if its.get("data") and not its.get("path")}
-    figures = {name: dict(its) | {key: [robot for robot in its[key] if robot not in absent]
+def _at_hand(settings: Mapping, recordings: str | None) -> dict:
+    """The settings with robots that are recordings read from this folder, and without them where there is none."""
+    if recordings is not None and not Path(recordings).expanduser().is_dir():
+        raise ValueError(f"recordings={recordings} is no folder; expected the one with decays.mat and "
+                         "controlled_2022.mat of the real robot, or null to leave it out")
+    read = {name for name, its in settings["robots"].items() if its.get("data")}
+    place = {} if recordings is None else {"path": str(Path(recordings).expanduser().resolve())}
+    robots = {name: dict(its) | (place if name in read else {}) for name, its in settings["robots"].items()
+              if place or name not in read}
+    figures = {name: dict(its) | {key: [robot for robot in its[key] if place or robot not in read]
                                   for key in ("models", "open_loop") if key in its}
                for name, its in settings["figures"].items()}
-    robots = {name: its for name, its in settings["robots"].items() if name not in absent}
     return dict(settings) | {"robots": robots, "figures": figures}
 
 
@@ -107,24 +144,19 @@ def data_job(settings: Mapping, robot: str) -> Job:
     return Job(f"data/{robot}", f"data/{robot}/trajectories.h5", (Step("collect", overrides),), about={"robot": robot})
 
 
-def robot_models(settings: Mapping, robot: str) -> list[Job]:
-    """Training and export of every method that is compared on the robot."""
-    return [model_job(settings, robot, method) for method in _robot(settings, robot)["methods"]]
-
-
 def model_job(settings: Mapping, robot: str, method: str) -> Job:
     """One method trained on the robot's data, and its artifact."""
     its, model = _robot(settings, robot), settings["models"].get(method)
     if model is None:
         raise ValueError(f"{robot} compares {method!r}; the models are {', '.join(settings['models'])}")
-    overrides = (f"experiment={its['experiment']}", f"model={model}", *_plant(its), f"name={quoted(method)}",
+    overrides = (f"robot={its['robot']}", f"model={model}", *_plant(its), f"name={quoted(method)}",
                  *settings.get("training", ()), *settings.get("train", {}).get(method, ()),
                  *its.get("train", {}).get(method, ()))
     given, files, needs = _trajectories(its, robot)
     train = Step("train", (*overrides, *given), files)
     export = Step("export", ("formats=[]",), {"checkpoint": "./model.ckpt", "artifact": "./artifact"})
     return Job(_model_name(robot, method), f"{_model_name(robot, method)}/artifact/card.json", (train, export),
-               needs, {"robot": robot, "method": method, "model": model, "experiment": its["experiment"]})
+               needs, {"robot": robot, "method": method, "model": model})
 
 
 def open_loop_job(settings: Mapping, robot: str) -> Job:
@@ -132,7 +164,7 @@ def open_loop_job(settings: Mapping, robot: str) -> Job:
     given, files, needs = _trajectories(_robot(settings, robot), robot)
     step = Step("evaluate", (*settings.get("open_loop", ()), *given), files)
     return Job(f"open_loop/{robot}", f"open_loop/{robot}.json", (step,),
-               (*needs, *_model_names(settings, robot)), {"robot": robot})
+               (*needs, *_model_names(settings, robot)), {"robot": robot}, partial=True)
 
 
 def figure_runs(settings: Mapping, figure: str) -> list[Job]:
@@ -198,25 +230,6 @@ def delay_job(settings: Mapping, figure: Mapping) -> Job:
         needs.append(run.name)
     return Job(f"delays/{robot}", f"delays/{robot}/delays.json", (Step("delay_study", (), files),), tuple(needs),
                {"robot": robot})
-
-
-def keys(jobs: Sequence[Job], configuration: Callable[[str, Sequence[str]], str]) -> dict[str, str]:
-    """A hash by job of the configurations and files of its steps, and of the hashes of what it needs: it changes where
-    anything does that its result depends on.
-
-    configuration: a text by entry and overrides of a step. Raises ValueError for a job that needs one which is not
-    before it.
-    """
-    found: dict[str, str] = {}
-    for job in jobs:
-        missing = [need for need in job.needs if need not in found]
-        if missing:
-            raise ValueError(f"{job.name} needs {missing[0]}, which is not planned before it")
-        steps = [[step.entry, configuration(step.entry, step.overrides), sorted(step.files.items())]
-                 for step in job.steps]
-        text = json.dumps([steps, [found[need] for need in job.needs]])
-        found[job.name] = hashlib.sha256(text.encode()).hexdigest()[:16]
-    return found
 
 
 def quoted(text: str) -> str:

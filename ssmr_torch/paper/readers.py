@@ -20,7 +20,7 @@ from ssmr_torch.data.sampling import IRREGULAR, SamplingRule
 from ssmr_torch.data.units import Units
 from ssmr_torch.trajectory import TrajectoryDataset
 
-__all__ = ["diamond_hardware", "diamond_simulated", "trunk_hardware", "trunk_simulated"]
+__all__ = ["real_diamond", "authors_simulated_diamond", "real_trunk", "authors_simulated_trunk"]
 
 AXES = ("x", "y", "z")
 TIP = tuple(f"tip_{axis}" for axis in AXES)
@@ -34,7 +34,7 @@ RELEASED = 0.05     # share of its way that a trunk has moved once it is release
 HELD = "Each input is held until the next sample and acts after the observation of its row."
 
 
-def trunk_hardware(path: str | Path, *, train: Sequence[str] = ("controlled_1",),
+def real_trunk(path: str | Path, *, train: Sequence[str] = ("controlled_1",),
                    test: Sequence[str] = ("controlled_2",), manual_decays: bool = False,
                    disturbed_decays: Sequence[int] = (7,), decay_rest: str = "own",
                    rest: Sequence[float] | None = None, timestep: float = 0.01, missing: str = "refuse",
@@ -70,7 +70,7 @@ def trunk_hardware(path: str | Path, *, train: Sequence[str] = ("controlled_1",)
     rule = SamplingRule("refuse", timestep, missing=missing, minimum_length=minimum_length)
     assumptions = _trunk_assumptions(controlled, ends, rest, decay_rest)
     return assemble(decays + controlled, rest, MARKERS, _inputs(6), Units(length="m", input="1"), rule,
-                    _provenance("trunk_hardware", sources, assumptions))
+                    _provenance("real_trunk", sources, assumptions))
 
 
 def _trunk_assumptions(controlled: list[Recording], ends: np.ndarray, rest: np.ndarray,
@@ -86,7 +86,7 @@ def _trunk_assumptions(controlled: list[Recording], ends: np.ndarray, rest: np.n
         "Observation k of a controlled run is before input k; the last observation is dropped."]
 
 
-def diamond_hardware(path: str | Path, *, decays: str = "decays.mat",
+def real_diamond(path: str | Path, *, decays: str = "decays.mat",
                      controlled: str | None = "controlled_2022.mat", outputs: str = "tip",
                      test_decays: Sequence[int] = (5, 15, 21, 32, 38), train_share: float = 0.5,
                      rest: Sequence[float] | None = None, sampling: str = "resample",
@@ -124,10 +124,10 @@ def diamond_hardware(path: str | Path, *, decays: str = "decays.mat",
         sources.append(folder / controlled)
     rule = SamplingRule(sampling, timestep, irregularity, missing, minimum_length)
     return assemble(recordings, rest, names, _inputs(4), Units(length="mm", input="1"), rule,
-                    _provenance("diamond_hardware", sources, assumptions))
+                    _provenance("real_diamond", sources, assumptions))
 
 
-def diamond_simulated(path: str | Path, *, splits: Sequence[str] = ("train", "test"),
+def authors_simulated_diamond(path: str | Path, *, splits: Sequence[str] = ("train", "test"),
                       test_decays: Sequence[int] = (), static: bool = True,
                       missing: str = "refuse") -> TrajectoryDataset:
     """A finite-element diamond with four cables; MATLAB files in mm and mN, 100 Hz.
@@ -140,11 +140,11 @@ def diamond_simulated(path: str | Path, *, splits: Sequence[str] = ("train", "te
     run = _koopman(folder / "controlled.mat", 1e-3, 1e-3, TIP)
     recordings = _decays(folder / "decays.mat", 1e-3, 4, TIP, test_decays)
     rest = 1e-3 * _vector(read_vector(folder / "decays.mat", "y_eq"), 3)
-    return _simulated(folder, "diamond_simulated", run, DIAMOND_SEAM, splits, recordings, rest, static,
+    return _simulated(folder, "authors_simulated_diamond", run, DIAMOND_SEAM, splits, recordings, rest, static,
                       missing)
 
 
-def trunk_simulated(path: str | Path, *, rest: Sequence[float] = (3.5888e-3, 0.2934e-3, 195.6144e-3),
+def authors_simulated_trunk(path: str | Path, *, rest: Sequence[float] = (3.5888e-3, 0.2934e-3, 195.6144e-3),
                     splits: Sequence[str] = ("test", "train"), static: bool = True,
                     missing: str = "refuse") -> TrajectoryDataset:
     """A finite-element trunk with four long and four short cables; MATLAB files in mm and mN, 100 Hz.
@@ -155,7 +155,7 @@ def trunk_simulated(path: str | Path, *, rest: Sequence[float] = (3.5888e-3, 0.2
     """
     folder = _folder(path)
     run = _koopman(folder / "controlled.mat", 1e-3, 1e-3, TIP)
-    return _simulated(folder, "trunk_simulated", run, TRUNK_SEAM, splits, [], _vector(rest, 3), static,
+    return _simulated(folder, "authors_simulated_trunk", run, TRUNK_SEAM, splits, [], _vector(rest, 3), static,
                       missing)
 
 
@@ -165,7 +165,7 @@ def _simulated(folder, reader, run, seam, splits, recordings, rest, static, miss
     check_seams(find_seams(run.observation), [seam], run.name)
     recordings = [*recordings, _part(run, 0, seam, splits[0], "first"),
                   _part(run, seam, None, splits[1], "second")]
-    sources = [folder / "controlled.mat"] + ([folder / "decays.mat"] if reader == "diamond_simulated" else [])
+    sources = [folder / "controlled.mat"] + ([folder / "decays.mat"] if reader == "authors_simulated_diamond" else [])
     assumptions = ["Lengths in mm, inputs in mN, 100 Hz.", HELD, f"A second run begins at row {seam}.",
                    f"The first sample is {1e3 * np.linalg.norm(run.observation[0] - rest):.3g} mm from rest."]
     if static:

@@ -10,10 +10,11 @@ import numpy as np
 
 from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.evaluation.bootstrap import mean_interval
-from ssmr_torch.paper import closed_loop_figures as paper_figures_runs
+from ssmr_torch.paper import closed_loop_figures
 from ssmr_torch.paper import published_numbers as published
-from ssmr_torch.paper import workspace_figures as paper_figures
+from ssmr_torch.paper.figure_panels import plain
 from ssmr_torch.paper.number_text import MM, MS, PERCENT, counted_runs, of_each, ordered, saver, scaled, unless_nan
+from ssmr_torch.paper.path_figures import tracked_paths
 from ssmr_torch.paper.verdicts import REFERENCE, Results, Run, loops, pareto_front, tally
 from ssmr_torch.report.html_page import Picture, Table
 from ssmr_torch.tasks.obstacles import random_circles
@@ -42,11 +43,11 @@ def loop_parts(figure: str, directory: Path, results: Results) -> list[Table | P
                                  for key in ("ise", "violation_ratio", "max_violation")}
                           for name, own in methods.items()}
             stem = f"{figure}-boxes" + (f"-{task.replace(' ', '-')}" if len(places) > 1 else "")
-            parts.append(Picture(save(paper_figures_runs.obstacle_boxes(statistics), stem),
+            parts.append(Picture(save(closed_loop_figures.obstacle_boxes(statistics), stem),
                                  f"{task}: ISE, share of the time inside an obstacle, largest depth of each run; "
                                  "beside each box its median.", of_each(methods), "mm², %, mm"))
     if relative and not among_obstacles:
-        parts.append(Picture(save(paper_figures_runs.relative_ise_bars(relative), f"{figure}-relative"),
+        parts.append(Picture(save(closed_loop_figures.relative_ise_bars(relative), f"{figure}-relative"),
                              "ISE relative to the mean of SSMR, with bootstrap 95 % intervals of the mean (none of a "
                              "single run); dots are runs.", of_each(next(iter(places.values()))), "%"))
     return parts
@@ -69,7 +70,7 @@ def pareto_parts(directory: Path, results: Results) -> list[Table | Picture]:
         return []
     header = ["robot", "task", "method", "ISE (mm²)", "solve, median (ms)", "paper, about (ms)", "median / period (–)",
               "p99 / period (–)", "on the front"]
-    picture = paper_figures_runs.pareto(tasks)
+    picture = closed_loop_figures.pareto(tasks)
     return [Picture(saver(directory)(picture, "fig8-pareto"), "ISE over solve time / control period; ringed and "
                     "joined: none is better in both; lines reach to the 99th percentile; right of 1 is too late.",
                     f"{counted_runs(runs)} of each method", "mm² over 1"),
@@ -111,16 +112,16 @@ def _path_pictures(name: str, directory: Path, robot: str, task: str, methods: M
     paths = {method: [record.observation[:, list(record.tracked)] for record in records]
              for method, records in shown.items()}
     if among_obstacles:
-        drawn = paper_figures_runs.obstacle_paths({
+        drawn = closed_loop_figures.obstacle_paths({
             method: {"reference": records[0].reference, "path": paths[method][0], "obstacles": _circles(records[0]),
-                     "note": f"{paper_figures.plain(MM ** 2 * kept[method][0].ise)} mm², "
+                     "note": f"{plain(MM ** 2 * kept[method][0].ise)} mm², "
                              f"{PERCENT * kept[method][0].violation_ratio:.2g} % inside"}
             for method, records in shown.items()}, axis_names)
         caption = (f"{task}: all methods in one run, that in which {next(iter(shown))} has its median ISE; red: "
                    "inside an obstacle.")
     else:
         notes = {method: f"RMSE {MM * kept[method][0].rmse:.3g} mm" for method in shown}
-        drawn = paper_figures.tracked_paths(first.reference, paths, axis_names, notes)
+        drawn = tracked_paths(first.reference, paths, axis_names, notes)
         caption = f"{task}, {robot}: best run (bold, its RMSE above) and up to {PATHS - 1} others; dashed: reference."
     return [Picture(saver(directory)(drawn, name), caption, of_each(methods), "mm")]
 

@@ -12,14 +12,15 @@ from pathlib import Path
 import h5py
 
 from ssmr_torch.paper import published_numbers as published
-from ssmr_torch.paper import workspace_figures as paper_figures
+from ssmr_torch.paper.error_distribution_figures import error_boxes
+from ssmr_torch.paper.error_map_figures import error_maps
 from ssmr_torch.paper.number_text import MM, MS, PERCENT, counted_runs, ordered, saver, scaled, span, unless_nan
 from ssmr_torch.paper.report_closed_loops import loop_parts, pareto_parts
 from ssmr_torch.paper.verdicts import REFERENCE, Results, Run, judge, loops, tally
 from ssmr_torch.report.html_page import Picture, Section, Table
 
 HORIZONS = ("50 ms", "200 ms", "1 s")
-BENCHES = ("hardware", "recordings")  # the emulated one, and recordings of the real one
+BENCHES = ("emulated_bench", "recordings")  # the emulated one, and recordings of the real one
 NOT_A_NUMBER = {"figure", "robot", "method", "task", "record", "command", "real_time"}
 
 
@@ -67,7 +68,7 @@ def _summary(results: Results, experiments: Sequence[str], missing: Sequence[str
                for kind in ("reproduced", "better", "refuted", "not judged")}
     parts = [f"Of {len(verdicts)} tables and figures {', '.join(f'{n} {kind}' for kind, n in counted.items() if n)}. "
              "Refuted: the claim does not hold here. Better: it holds, and the number that the paper prints of SSMR is "
-             "surpassed. The robots are finite-element models of our own and the hardware is emulated: numbers compare "
+             "surpassed. The robots are finite-element models of our own and the bench is emulated: numbers compare "
              "within this report first. Where the settings of a model were searched, its table says how.",
              *([f"Left out, as their data are missing: {', '.join(missing)}."] if missing else []),
              Table(["", "claim", "verdict", "reason"],
@@ -164,10 +165,10 @@ def _open_loop_parts(figure: str, directory: Path, results: Results) -> list:
             position, errors = file["position"][:], {name: file["error"][name][:] for name in file["error"]}
         errors = {name: errors[name] for name in ordered(errors, results.open_loop[robot])}
         save = saver(directory)
-        parts += [Picture(save(paper_figures.error_maps(position, errors), f"{figure}-map"),
+        parts += [Picture(save(error_maps(position, errors), f"{figure}-map"),
                           "Error over the 50 ms after each start, drawn where the tip was; crossed out: diverged.",
                           starts, "mm"),
-                  Picture(save(paper_figures.error_boxes(errors), f"{figure}-boxes"),
+                  Picture(save(error_boxes(errors), f"{figure}-boxes"),
                           "The same errors: quartiles, whiskers within 1.5 of their distance, outliers; diverged "
                           "starts count as infinite.", starts, "mm")]
     return parts

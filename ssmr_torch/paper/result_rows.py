@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from ssmr_torch.found_settings import in_words
+
 RUN_COLUMNS = ("figure", "robot", "method", "task", "seed", "period", "real_time", "ise", "rmse", "max_error",
                "violation_ratio", "max_violation", "solve_median", "solve_p99", "fallbacks", "record")
 MODEL_COLUMNS = ("robot", "method", "state_dim", "parameters", "decays", "controlled_samples", "fit_time", "timestep",
@@ -37,10 +39,10 @@ def model_row(about: Mapping, cost: Mapping[str, float], model: Mapping[str, flo
     return {name: _finite(row[name]) for name in MODEL_COLUMNS}
 
 
-def note_of(tuned: str) -> str:
-    """What a file of conf/tuned says of how it was found: its comments, without the package line."""
-    comments = [line.removeprefix("#").strip() for line in tuned.splitlines() if line.startswith("#")]
-    return " ".join(comment for comment in comments if not comment.startswith("@package"))
+def note_of(report: Mapping) -> str:
+    """How the settings of a training were found, from its report.json; empty where it took no found settings."""
+    found = report["provenance"]["configuration"].get("found")
+    return f"{in_words(found)}." if found else ""
 
 
 def _finite(value):

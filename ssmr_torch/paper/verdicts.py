@@ -115,9 +115,9 @@ def pareto_front(points: Mapping[str, tuple[float, float]]) -> set[str]:
             if all(map(math.isfinite, point)) and not any(beats(other, point) for other in points.values())}
 
 
-def _period(runs: Sequence[Run], common: float, hardware: bool) -> float:
+def _period(runs: Sequence[Run], common: float, in_real_time: bool) -> float:
     periods = sorted({run.period for run in runs})
-    if hardware:
+    if in_real_time:
         held = [period for period in periods
                 if 2 * sum(run.real_time for run in runs if run.period == period)
                 > sum(run.period == period for run in runs)]

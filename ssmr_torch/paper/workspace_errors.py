@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
+import h5py
 import numpy as np
 
+from ssmr_torch.configuration import built, plain
 from ssmr_torch.data.starts import draw_starts, samples_within
+from ssmr_torch.deployment import artifact
 from ssmr_torch.evaluation.measured_rollouts import JoinedRuns
 from ssmr_torch.evaluation.open_loop import HORIZONS, OpenLoopScore, compare_open_loop
+from ssmr_torch.provenance import provenance
+from ssmr_torch.result_files import save_json
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,3 +44,27 @@ def map_open_loop(models: Mapping[str, object], runs: Sequence, *, outputs: Sequ
     owner, sample = draw_starts(joined.lengths, margin, span, starts, seed)
     position = joined.observation[joined.offsets[owner] + sample][:, list(outputs)]
     return OpenLoopMap(scores, position, {name: scores[name].horizons[0].errors for name in models})
+
+
+def write_open_loop_map(config, path: Path, artifacts: Mapping[str, Path]) -> None:
+    """PATH.h5 and PATH.json: errors and scores of those artifacts that there are.
+
+    config: of `ssmr evaluate`. Raises ValueError where there are none.
+    """
+    loaded = {name: artifact.load(place) for name, place in artifacts.items() if place.is_dir()}
+    if not loaded:
+        raise ValueError(f"none of {', '.join(artifacts)} was trained")
+    dataset = built(config.data).observing(artifact.common_outputs(list(loaded.values())))
+    runs = dataset.select(config.split, config.kind)
+    found = map_open_loop({name: each.model for name, each in loaded.items()}, runs,
+                          outputs=dataset.columns(config.outputs), starts=config.starts, seed=config.seed,
+                          horizons=list(config.horizons))
+    aside = Path(f"{path}.h5.part")
+    with h5py.File(aside, "w") as file:
+        file["position"] = found.position
+        for name, errors in found.errors.items():
+            file[f"error/{name}"] = errors
+    os.replace(aside, f"{path}.h5")
+    save_json(Path(f"{path}.json"), {
+        "scores": {name: score.as_dict() for name, score in found.scores.items()},
+        "test": ", ".join(run.name for run in runs), "provenance": provenance(plain(config, without=["artifact"]))})

@@ -133,7 +133,7 @@ def _forms(trial: Trial, kind: str) -> Iterable[Baseline]:
     names: Sequence[str] = list(trial.samples.coordinates)
     if kind in LIFTINGS:
         yield from (Baseline(kind, name, delays, past) for delays in (1, 2, 4, 8)
-                    for past in ((0,) if kind == "koopman_lqr" else sorted({1, delays})) for name in names)
+                    for past in ((0,) if kind == "static_pregain" else sorted({1, delays})) for name in names)
     elif kind == "ssmr_control_augmented":
         yield from (Baseline(kind, name, delays, delays, states) for states in (6, 10, 14) for delays in (4, 10)
                     for name in names)

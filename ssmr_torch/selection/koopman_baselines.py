@@ -26,7 +26,7 @@ class Lifting(NamedTuple):
 
 
 LIFTINGS = {"dmd": Lifting(), "edmd": Lifting(2), "edmd_relift": Lifting(2, relift=True),
-            "edmd_bilinear": Lifting(bilinear=True), "koopman_lqr": Lifting(constant=False)}
+            "edmd_bilinear": Lifting(bilinear=True), "static_pregain": Lifting(constant=False)}
 
 
 class KoopmanForm:

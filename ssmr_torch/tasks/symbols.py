@@ -13,8 +13,6 @@ from ssmr_torch.extras import require
 from ssmr_torch.tasks.curves import Polyline
 from ssmr_torch.tasks.references import Task, ramped_phase
 
-ARC_STEPS = 1440  # straight pieces of pacman's arc; its length is then accurate to 1e-6
-
 
 def symbol(text: str = "S", half_size: float = 0.020, duration: float = 10.0, ramp: float = 1.0,
            tracked: Sequence[int | str] = ("tip_x", "tip_y"), font: str | None = None,
@@ -33,24 +31,6 @@ def symbol(text: str = "S", half_size: float = 0.020, duration: float = 10.0, ra
     low, high = corners.min(axis=0), corners.max(axis=0)
     corners = (corners - (low + high) / 2) * (2 * half_size / (high - low).max())
     return constant_speed(corners, duration, ramp, tracked, text if name is None else name, obstacles)
-
-
-def pacman(radius: float = 0.020, mouth: float = 1.0471976, duration: float = 10.0, ramp: float = 1.0,
-           tracked: Sequence[int | str] = ("tip_x", "tip_y"), name: str = "pacman",
-           obstacles: Sequence | None = None) -> Task:
-    """A disc around rest with a mouth open towards +x, (2 + 2π − mouth) radius long, from its centre and back to it.
-
-    radius in m; mouth: the angle between the two straight edges, in rad; duration and ramp in s.
-    Raises ValueError for a radius that is not positive, a mouth outside (0, 2π), and where `constant_speed` does.
-    """
-    if not (np.isfinite(radius) and radius > 0):
-        raise ValueError(f"pacman's radius is {radius} m; expected a positive length in m")
-    if not 0 < mouth < 2 * np.pi:
-        raise ValueError(f"pacman's mouth is {mouth} rad; expected more than 0 and less than 2π = 6.283 "
-                         "(60 degrees are 1.0472)")
-    angle = np.linspace(mouth / 2, 2 * np.pi - mouth / 2, ARC_STEPS + 1)
-    corners = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return constant_speed(corners, duration, ramp, tracked, name, obstacles)
 
 
 def constant_speed(corners: np.ndarray, duration: float, ramp: float, tracked: Sequence[int | str],

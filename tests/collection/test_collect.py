@@ -1,12 +1,10 @@
 """Recorded data are reproducible, start where they should and say where they came from."""
 
 import json
-from pathlib import Path
 
 import hydra
 import numpy as np
 import pytest
-from omegaconf import OmegaConf
 
 from ssmr_torch.collection.collect import ControlledRun, RecordingPlan, collect, record
 from ssmr_torch.collection.excitation import (
@@ -19,10 +17,10 @@ from ssmr_torch.collection.excitation import (
     latin_hypercube_ramps,
     latin_hypercube_set_points,
 )
+from ssmr_torch.configuration import composed
 from ssmr_torch.plants.slow_manifold import SlowManifold
 from ssmr_torch.trajectory import TrajectoryDataset
 
-CONF = Path(__file__).parents[2] / "conf"
 RUNS = (ControlledRun("smooth", SmoothRandom(), 1.5, "train", repeats=2),
         ControlledRun("check", SmoothRandom(0.25), 1.0, "validation"),
         ControlledRun("static", SetPoints(((0.5, 0.0, 0.0, 0.0),)), 1.0, "test", kind="static"))
@@ -158,8 +156,8 @@ def test_a_decay_whose_inputs_have_not_let_go_is_refused():
 
 @pytest.mark.slow
 def test_the_default_configuration_records_the_published_amount_and_two_tests_for_control():
-    plant = hydra.utils.instantiate(OmegaConf.load(CONF / "plant" / "slow_manifold.yaml"))
-    recipe = hydra.utils.instantiate(OmegaConf.load(CONF / "excitation" / "default.yaml"))
+    config = composed("collect", ["plant=slow_manifold", "excitation=default"])
+    plant, recipe = hydra.utils.instantiate(config.plant), hydra.utils.instantiate(config.excitation)
     dataset = recipe(plant, progress=False)
     assert len(dataset.select("train", "decay")) == 40
     assert sum(t.length for t in dataset.select(kind="controlled")) == 8700 + 2000

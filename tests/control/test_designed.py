@@ -158,7 +158,7 @@ def test_a_task_that_a_file_cannot_hold_must_be_given_again(by_hand, tmp_path):
 
 @pytest.mark.parametrize("task", [
     tasks.circle(), tasks.figure_eight(tracked=["a", "b"]), tasks.rose(), tasks.letter("Oß", tracked=["a", "b"]),
-    tasks.pacman(), tasks.path([0.0, 1.0], [[0.0, 1.0], [1.0, 1.0]], outputs=["a", "b"]),
+    tasks.path([0.0, 1.0], [[0.0, 1.0], [1.0, 1.0]], outputs=["a", "b"]),
     tasks.circle(obstacles=[tasks.obstacles.Circle([0.0, 0.01], 0.004), tasks.obstacles.HalfPlane([1.0, 0.0], 0.02),
                             tasks.obstacles.Circle(tasks.obstacles.drifting([0.0, 0.0], [0.01, 0.0]), 0.002)])],
     ids=lambda task: f"{task.name}, {len(task.obstacles)} obstacles")

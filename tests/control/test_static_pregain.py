@@ -143,7 +143,7 @@ def test_a_constant_among_the_states_changes_no_input():
 
 @pytest.mark.parametrize("changes", [{"pregain": np.zeros((0, 3))}, {"N": np.zeros((2, 4, 4))}])
 def test_a_model_without_pregain_or_with_bilinear_terms_is_refused(changes):
-    with pytest.raises(ValueError, match="train one with model=koopman_lqr"):
+    with pytest.raises(ValueError, match="train one with model=static_pregain"):
         StaticPregainController(damped_masses(**changes), TASK, BOUNDS, output_names=NAMES)
 
 

@@ -18,7 +18,7 @@ from ssmr_torch.control.solvers import solver_named
 from ssmr_torch.status import Status
 from ssmr_torch.tasks.obstacles import Circle, drifting
 from ssmr_torch.tasks.references import Task, circle, figure_eight, path, rose
-from ssmr_torch.tasks.symbols import pacman, symbol
+from ssmr_torch.tasks.symbols import symbol
 
 EIGHT = figure_eight(laps=3.0, amplitude=0.010)
 OBSERVERS = {f"{disturbance}, {'extended' if extended else 'stationary'}":
@@ -243,7 +243,7 @@ class Half:
         return 0.005 * np.stack([np.sin(time), np.cos(time) - 1.0], axis=-1)
 
 
-TASKS = [figure_eight(laps=1.0), circle(tracked=(0, 1)), rose(), symbol("S", tracked=(0, 1)), pacman(tracked=(0, 1)),
+TASKS = [figure_eight(laps=1.0), circle(tracked=(0, 1)), rose(), symbol("S", tracked=(0, 1)),
          path([0.0, 1.0], [[0.0, 0.0], [0.01, 0.0]], outputs=(0, 1)), Task("mine", 2.0, (0, 1), Half()),
          figure_eight(obstacles=[Circle(drifting([0.0, 0.03], [0.001, 0.0]), 0.004)])]
 

@@ -48,7 +48,7 @@ def site(tmp_path_factory):
 
 def test_every_page_of_the_documentation_is_in_the_site(site):
     names = {path.stem for path in site}
-    assert {path.stem for path in (ROOT / "docs").rglob("*.md")} | {"readme", "changes"} <= names
+    assert {path.stem for path in (ROOT / "docs").rglob("*.md")} | {"readme", "changes", "contributing"} <= names
 
 
 def test_every_link_inside_the_site_leads_to_a_page_and_an_anchor_that_exist(site):

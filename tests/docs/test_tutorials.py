@@ -1,6 +1,7 @@
 """Every tutorial in miniature: what its page claims is true, measured against answers that are known."""
 
 import importlib.util
+import re
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,11 @@ def tutorial(name):
     return module
 
 
+def blocks(name):
+    """The numbers that the page shows."""
+    return set(re.findall(r"<!-- numbers: (\w+) -->", (TUTORIALS / f"{name}.md").read_text()))
+
+
 def drawn(directory):
     sizes = {path.name: path.stat().st_size for path in directory.glob("tutorial_*.svg")}
     assert sizes and max(sizes.values()) < LARGEST_FIGURE, sizes
@@ -34,6 +40,10 @@ def pendulum(tmp_path_factory):
     numbers = tutorial("slow_manifold_of_a_pendulum").main(directory, quick=True)
     assert drawn(directory) == {"tutorial_pendulum.svg"}
     return numbers
+
+
+def test_the_script_of_the_pendulum_writes_every_table_of_its_page(pendulum):
+    assert set(tutorial("slow_manifold_of_a_pendulum").tables(pendulum)) == blocks("slow_manifold_of_a_pendulum")
 
 
 def test_the_learned_eigenvalue_is_the_slow_one_of_the_equations(pendulum):
@@ -95,6 +105,7 @@ def test_the_commands_of_the_tutorial_make_a_controller_from_csv_files(tmp_path)
     assert errors["SSMR"]["200 ms"] < errors["SSSR"]["200 ms"] < errors["constant velocity"]["200 ms"]
     assert found["letter, mm"]["ssmr"] < 1 and found["fallbacks"]["ssmr"] == 0
     assert (tmp_path / "work" / "report.html").is_file()
+    assert set(tutorial("your_own_data").tables(found)) == blocks("your_own_data")
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +117,11 @@ def choices(tmp_path_factory):
 def test_six_coordinates_have_the_slow_eigenvalues_of_the_robot(choices):
     fitted, true = (np.sort_complex(choices[name]) for name in ("eigenvalues", "true eigenvalues"))
     assert np.abs(fitted - true).max() < 0.3 and choices["captured"] > 0.999
+
+
+@pytest.mark.slow
+def test_the_script_of_the_choices_writes_every_table_of_its_page(choices):
+    assert set(tutorial("dimension_delays_degree").tables(choices)) == blocks("dimension_delays_degree")
 
 
 @pytest.mark.slow
@@ -141,6 +157,11 @@ def test_the_best_input_weight_lies_between_chatter_and_sluggishness(tuned):
     errors, unrest = ({weight: pair[index] for weight, pair in noisy.items()} for index in (0, 1))
     assert errors[300.0] < 0.5 * min(errors[3.0], errors[3e4])
     assert unrest[3.0] > 3 * unrest[300.0] > 3 * unrest[3e4]
+
+
+@pytest.mark.slow
+def test_the_script_of_the_mpc_writes_every_table_of_its_page(tuned):
+    assert set(tutorial("tuning_the_mpc").tables(tuned)) == blocks("tuning_the_mpc")
 
 
 @pytest.mark.slow

@@ -227,7 +227,7 @@ def test_a_reader_of_ones_own_gives_what_was_recorded(data, tmp_path):
     np.testing.assert_allclose(same.observation, longest.observation, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("fit", ["least_squares", "guarded", "gauss_newton", "rollout"])
+@pytest.mark.parametrize("fit", ["least_squares", "stability_guard", "gauss_newton", "rollout"])
 def test_every_fit_takes_the_closed_form_that_the_model_names(config_dir, fit):
     config = configuration.composed("train", ["model=squares_and_products", f"fit={fit}"], config_dir=config_dir)
     assert config.fit.closed_form._target_ == "ssmr_torch.fitting.training.polynomial_least_squares"

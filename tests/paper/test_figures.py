@@ -12,7 +12,10 @@ from ssmr_torch.paper.closed_loop_figures import (
     pareto,
     relative_ise_bars,
 )
-from ssmr_torch.paper.workspace_figures import error_boxes, error_maps, plain, tracked_paths
+from ssmr_torch.paper.error_distribution_figures import error_boxes
+from ssmr_torch.paper.error_map_figures import error_maps
+from ssmr_torch.paper.figure_panels import plain
+from ssmr_torch.paper.path_figures import tracked_paths
 
 EIGHT = ("SSMR", "SSSR", "control-augmented SSMR", "DMD", "EDMD", "static pregain", "TPWL", "neural ODE")
 RNG = np.random.default_rng(0)

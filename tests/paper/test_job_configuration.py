@@ -3,25 +3,42 @@
 import json
 import re
 import shutil
+import uuid
 
 import pytest
-from omegaconf import OmegaConf
 
 from ssmr_torch import configuration as composition
-from ssmr_torch.configuration import composed
+from ssmr_torch.configuration import composed, plain
 from ssmr_torch.paper import job_configuration as configured
 from ssmr_torch.paper.job_configuration import configuration
-from ssmr_torch.paper.jobs import Job, keys, plan
-
-
-@pytest.fixture(scope="module")
-def before():
-    """Keys of all jobs of the miniature."""
-    return keys(jobs(), configuration)
+from ssmr_torch.paper.jobs import Job, plan
+from ssmr_torch.paper.workflow import run
 
 
 @pytest.fixture
-def conf(tmp_path, monkeypatch, before):
+def done(tmp_path):
+    """Where all jobs of the miniature have left their products."""
+    again(tmp_path)
+    return tmp_path
+
+
+def again(directory) -> set[str]:
+    """Names of the jobs that are done by a run below a directory."""
+    found = []
+
+    def perform(job: Job) -> dict:
+        (directory / job.product).parent.mkdir(parents=True, exist_ok=True)
+        (directory / job.product).touch()
+        found.append(job.name)
+        return {"run": str(uuid.uuid4())}
+
+    (directory / "jobs").mkdir(exist_ok=True)
+    assert not run(jobs(), directory, perform)
+    return set(found)
+
+
+@pytest.fixture
+def conf(tmp_path, monkeypatch, done):
     """A copy of the configurations that everything is composed from."""
     copy = shutil.copytree(composition.folder(), tmp_path / "conf")
     monkeypatch.setattr(composition, "folder", lambda: copy)
@@ -29,38 +46,36 @@ def conf(tmp_path, monkeypatch, before):
     configured._text.cache_clear()
 
 
-def jobs() -> list[Job]:
-    settings = OmegaConf.to_container(composed("reproduce", ["preset=miniature"]).preset, resolve=True)
-    return [job for stage in plan(settings).values() for job in stage]
+def jobs() -> tuple[Job, ...]:
+    return plan(plain(composed("reproduce", ["preset=miniature"]).preset)).jobs
 
 
-def changed(before, file, line: str) -> set[str]:
-    """Names of the jobs whose results are no longer kept when a configuration file also says this of its target."""
+def changed(done, file, line: str) -> set[str]:
+    """Names of the jobs that are done again when a configuration file also says this of its target."""
     key = re.escape(line.partition(":")[0])
     without = re.sub(rf"^ *{key}:.*\n", "", file.read_text(), flags=re.MULTILINE)
     file.write_text(re.sub(r"^( *)_partial_: true", rf"\g<0>\n\g<1>{line}", without, count=1, flags=re.MULTILINE))
     configured._text.cache_clear()
-    after = keys(jobs(), configuration)
-    return {name for name in before if before[name] != after[name]}
+    return again(done)
 
 
-def test_a_value_in_the_parent_of_a_controller_changes_the_runs_that_inherit_it_and_what_comes_after(conf, before):
+def test_a_value_in_the_parent_of_a_controller_changes_the_runs_that_inherit_it_and_what_comes_after(conf, done):
     """All controllers of the miniature but the static pregain's are scp.yaml or have it as their parent."""
     assert "- scp" in (conf / "controller" / "scp_trunk.yaml").read_text()
     runs = {job.name for job in jobs() if "period" in job.about and job.about["method"] != "static pregain"}
     assert len(runs) == 10
-    assert changed(before, conf / "controller" / "scp.yaml", "terminal_weight: 0.123") == runs | {"delays/trunk"}
+    assert changed(done, conf / "controller" / "scp.yaml", "terminal_weight: 0.123") == runs | {"delays/trunk"}
 
 
-def test_a_value_in_what_trains_all_models_changes_these_and_all_that_is_made_of_them(conf, before):
-    """train.yaml names trainer/cpu.yaml, no job does."""
+def test_a_value_in_what_trains_all_models_changes_these_and_all_that_is_made_of_them(conf, done):
+    """train.yaml names trainer=cpu, the first entry of groups/trainer.yaml; no job does."""
     assert not [step for job in jobs() for step in job.steps if "trainer=cpu" in step.overrides]
     trained = {job.name for job in jobs() if not job.name.startswith("data/")}
-    assert changed(before, conf / "trainer" / "cpu.yaml", "gradient_clip_val: 0.5") == trained
+    assert changed(done, conf / "groups" / "trainer.yaml", "gradient_clip_val: 0.5") == trained
 
 
-def test_a_comment_changes_nothing(conf, before):
-    assert not changed(before, conf / "controller" / "scp.yaml", "# as ever")
+def test_a_comment_changes_nothing(conf, done):
+    assert not changed(done, conf / "controller" / "scp.yaml", "# as ever")
 
 
 def test_how_the_work_is_shown_and_shared_out_changes_nothing():

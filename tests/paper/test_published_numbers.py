@@ -16,7 +16,7 @@ def test_ssmr_is_printed_with_the_lowest_dimension_on_every_robot():
     for models in TABLE_1.values():
         assert models["SSMR"].dimension == min(model.dimension for model in models.values()) == 6
     assert (TABLE_1["trunk"]["EDMD"].dimension, TABLE_1["trunk"]["EDMD"].transitions) == (120, 7111)
-    assert TABLE_1["hardware"]["static pregain"].others == 291
+    assert TABLE_1["emulated_bench"]["static pregain"].others == 291
 
 
 def test_every_method_and_robot_of_the_paper_has_a_name_that_a_reproduction_uses():

@@ -45,7 +45,7 @@ def glued_diamond(folder, seam=3686, count=3900, scale=1.0):
 
 def test_a_simulated_diamond_is_cut_at_its_known_seam(tmp_path):
     glued_diamond(tmp_path)
-    dataset = readers.diamond_simulated(tmp_path, static=False)
+    dataset = readers.authors_simulated_diamond(tmp_path, static=False)
     controlled = dataset.select(kind="controlled")
     assert [(d.length, d.split) for d in controlled] == [(3686, "train"), (214, "test")]
     assert max(d.input.max() for d in controlled) <= 1.0
@@ -54,17 +54,17 @@ def test_a_simulated_diamond_is_cut_at_its_known_seam(tmp_path):
 def test_a_simulated_diamond_with_another_seam_is_refused(tmp_path):
     glued_diamond(tmp_path, seam=3000)
     with pytest.raises(ValueError, match=r"seams were found before rows \[3000\], but expected before rows \[3686\]"):
-        readers.diamond_simulated(tmp_path, static=False)
+        readers.authors_simulated_diamond(tmp_path, static=False)
 
 
 def test_a_simulated_diamond_in_metres_is_refused(tmp_path):
     glued_diamond(tmp_path, scale=1e-3)
     with pytest.raises(ValueError, match="read in mm.*look like .*m"):
-        readers.diamond_simulated(tmp_path, static=False)
+        readers.authors_simulated_diamond(tmp_path, static=False)
 
 
-@pytest.mark.parametrize("read", [readers.trunk_hardware, readers.diamond_hardware, readers.diamond_simulated,
-                                  readers.trunk_simulated])
+@pytest.mark.parametrize("read", [readers.real_trunk, readers.real_diamond, readers.authors_simulated_diamond,
+                                  readers.authors_simulated_trunk])
 def test_a_missing_directory_is_reported(tmp_path, read):
     with pytest.raises(FileNotFoundError, match="no directory"):
         read(tmp_path / "absent")
@@ -72,7 +72,7 @@ def test_a_missing_directory_is_reported(tmp_path, read):
 
 @needs_data
 def test_the_trunk_hardware_has_37_long_decays_that_end_at_zero():
-    dataset = readers.trunk_hardware(DATA / "trunk_hardware")
+    dataset = readers.real_trunk(DATA / "trunk_hardware")
     decays = dataset.select("train", "decay")
     assert len(decays) == 37 and len(dataset.provenance["shorter_than_minimum"]) == 3
     assert max(np.abs(np.median(d.observation[-10:], axis=0)).max() for d in decays) < 1e-12
@@ -82,7 +82,7 @@ def test_the_trunk_hardware_has_37_long_decays_that_end_at_zero():
 
 @needs_data
 def test_the_diamond_hardware_is_on_a_grid_of_10_ms():
-    dataset = readers.diamond_hardware(DATA / "diamond_hardware")
+    dataset = readers.real_diamond(DATA / "diamond_hardware")
     assert len(dataset.select("train", "decay")) == 34 and len(dataset.select("test", "decay")) == 5
     assert {round(d.timestep, 9) for d in dataset} == {0.01}
     assert np.abs(dataset.select("test", "controlled")[0].observation[-100:]).max() < 1e-3
@@ -93,15 +93,15 @@ def test_the_diamond_hardware_is_on_a_grid_of_10_ms():
 @needs_data
 def test_the_irregular_calibration_run_is_refused_with_its_numbers():
     with pytest.raises(ValueError, match=r"intervals from 0\.005632 to 0\.15 s.*mean 0\.03569"):
-        readers.diamond_hardware(DATA / "diamond_hardware", train_share=1.0,
+        readers.real_diamond(DATA / "diamond_hardware", train_share=1.0,
                                  controlled="calibration_irregular.mat",
                                  rest=[-0.63e-3, -0.34e-3, 110.12e-3])
 
 
 @needs_data
 @pytest.mark.parametrize(("read", "name", "train", "test"), [
-    (readers.diamond_simulated, "diamond_simulated", 3686, 5006),
-    (readers.trunk_simulated, "trunk_simulated", 6005, 1106)])
+    (readers.authors_simulated_diamond, "diamond_simulated", 3686, 5006),
+    (readers.authors_simulated_trunk, "trunk_simulated", 6005, 1106)])
 def test_the_simulated_robots_are_cut_at_their_seam_and_have_100_set_points(read, name, train, test):
     dataset = read(DATA / name)
     assert [d.length for d in dataset.select("train", "controlled")] == [train]

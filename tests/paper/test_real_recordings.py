@@ -25,7 +25,7 @@ def learn(solve_stages, dataset, *, state_dim=6, delays=1, degree=1, transient=0
 @pytest.mark.slow
 @pytest.mark.parametrize("calibration", ["joint", "frozen"])
 def test_the_simulated_diamond_is_predicted_across_the_seam(measurements, solve_stages, calibration):
-    dataset = readers.diamond_simulated(measurements("diamond_simulated"))
+    dataset = readers.authors_simulated_diamond(measurements("diamond_simulated"))
     runs = dataset.select("test", "controlled")
     assert [run.length for run in runs] == [8692 - 3686]
     linear = score_open_loop(learn(solve_stages, dataset, transient=0.2, calibration=calibration), runs)
@@ -39,7 +39,7 @@ def test_the_simulated_diamond_is_predicted_across_the_seam(measurements, solve_
 
 @pytest.mark.slow
 def test_the_hardware_trunk_is_predicted_better_than_by_persistence_and_constant_velocity(measurements, solve_stages):
-    dataset = readers.trunk_hardware(measurements("trunk_hardware")).observing(["marker3_x", "marker3_y", "marker3_z"])
+    dataset = readers.real_trunk(measurements("trunk_hardware")).observing(["marker3_x", "marker3_y", "marker3_z"])
     assert sum(run.kind == "decay" for run in dataset.select("train")) == 37
     model = learn(solve_stages, dataset, control_degree=0, ridge={"dynamics": 1e-3})
     scores = compare_open_loop({"model": model}, dataset.select("test", "controlled"))

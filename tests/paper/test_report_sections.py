@@ -22,8 +22,8 @@ MODEL_COLUMNS = ("robot", "method", "state_dim", "parameters", "decays", "contro
                  "delays", "command")
 LOOPS = (("fig6", "diamond", "slow figure eight", 1), ("fig6", "diamond", "fast figure eight", 1),
          ("fig7", "trunk", "ASL", 1), ("fig7", "trunk", "Pacman", 1), ("fig9", "trunk", "ETH among obstacles", 4),
-         ("fig11", "hardware", "figure eight", 3), ("fig11", "hardware", "circle", 3),
-         ("fig12", "hardware", "S among obstacles", 3))
+         ("fig11", "emulated_bench", "figure eight", 3), ("fig11", "emulated_bench", "circle", 3),
+         ("fig12", "emulated_bench", "S among obstacles", 3))
 TIME = 0.01 * np.arange(301)
 
 
@@ -54,7 +54,7 @@ def write_loops(directory, methods=METHODS, loops=LOOPS):
         for k, method in enumerate(methods):
             for seed in range(seeds):
                 late = method == "TPWL"
-                for period in (0.02, 0.04) if late and robot == "hardware" else (0.02,):
+                for period in (0.02, 0.04) if late and robot == "emulated_bench" else (0.02,):
                     error = 1e-4 * (k + 1) * (1 + 0.1 * seed)
                     at = f"runs/{figure}/{robot}/{method}/{task}/{seed}-{1e3 * period:g}ms/record.h5"
                     record_of(error, obstacles_of(task, seed), rng).save(directory / at)
@@ -74,7 +74,7 @@ def write_csv(path, header, rows):
 
 def write_models(directory, methods=METHODS):
     rows = [[robot, method, 6 + 5 * k, 400 * (k + 1), 40, 8700, 0.5, 0.01, 1, "Best of 40 trials"]
-            for robot in ("trunk", "diamond", "hardware") for k, method in enumerate(methods)]
+            for robot in ("trunk", "diamond", "emulated_bench") for k, method in enumerate(methods)]
     write_csv(directory / "models.csv", MODEL_COLUMNS, rows)
 
 

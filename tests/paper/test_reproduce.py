@@ -1,4 +1,4 @@
-"""The paper from one command, in miniature, through processes of its own: whole, killed and resumed, with a failure."""
+"""The paper from one command, in miniature: whole, on every executor, killed and resumed, with a failure."""
 
 import csv
 import json
@@ -8,15 +8,15 @@ import signal
 import subprocess
 import sys
 import time
+import uuid
 from pathlib import Path
 
 import h5py
 import pytest
-from omegaconf import OmegaConf
 
 from ssmr_torch.closed_loop.record import ClosedLoopRecord
-from ssmr_torch.configuration import composed
-from ssmr_torch.paper.jobs import plan, with_recordings
+from ssmr_torch.configuration import composed, plain
+from ssmr_torch.paper.jobs import plan
 
 ROOT = Path(__file__).resolve().parents[2]
 CONF, SCRIPT = ROOT / "conf", ROOT / "experiments" / "reproduce.py"
@@ -43,8 +43,7 @@ def rows(path: Path) -> list[dict]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    for module in ("hydra_plugins.hydra_joblib_launcher", "daqp"):
-        pytest.importorskip(module, reason="needs pip install 'ssmr_torch[parallel,daqp]'")
+    pytest.importorskip("daqp", reason="needs pip install 'ssmr_torch[daqp]'")
     directory = tmp_path_factory.mktemp("whole")
     reproduce(directory)
     return directory
@@ -54,7 +53,8 @@ def whole(tmp_path_factory):
 def test_one_command_leaves_data_models_scores_closed_loops_tables_and_the_report(whole):
     assert (whole / "report.html").is_file() and (whole / "delays" / "trunk" / "delays.json").is_file()
     assert {(row["robot"], row["method"]) for row in rows(whole / "models.csv")} == {
-        ("trunk", "SSMR"), ("trunk", "SSSR"), ("trunk", "DMD"), ("hardware", "SSSR"), ("hardware", "static pregain")}
+        ("trunk", "SSMR"), ("trunk", "SSSR"), ("trunk", "DMD"), ("emulated_bench", "SSSR"),
+        ("emulated_bench", "static pregain")}
     runs = rows(whole / "runs.csv")
     assert {figure: sum(row["figure"] == figure for row in runs) for figure in ("fig7", "fig9", "fig11")} == {
         "fig7": 3, "fig9": 6, "fig11": 2}
@@ -69,12 +69,32 @@ def test_one_command_leaves_data_models_scores_closed_loops_tables_and_the_repor
 
 @pytest.mark.slow
 def test_the_same_command_runs_nothing_twice(whole):
-    before = {path: path.stat().st_mtime_ns for path in (whole / "jobs").rglob("*.json")}
-    products = {path: path.stat().st_mtime_ns for pattern in ("*.h5", "*.ckpt", "metrics.json")
+    products = {path: path.stat().st_mtime_ns for pattern in ("*.h5", "*.ckpt", "metrics.json", "jobs/*/*.log")
                 for path in whole.rglob(pattern)}
     reproduce(whole)
-    assert before == {path: path.stat().st_mtime_ns for path in (whole / "jobs").rglob("*.json")}
     assert all(path.stat().st_mtime_ns == then for path, then in products.items())
+
+
+EXECUTORS = {"local": ["executor=local"], "joblib": [], "ray": ["executor=ray"],
+             "submitit": ["executor=submitit", "executor.cluster=local"]}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("executor", ["local", "ray", "submitit"])
+def test_the_same_numbers_come_from_every_executor_to_the_last_digit(whole, tmp_path, executor):
+    """Those of joblib are there; from the same data, models, open loops and closed loops are made again."""
+    if executor != "local":
+        pytest.importorskip(executor)
+    shutil.copytree(whole / "data", tmp_path / "data")
+    (tmp_path / "jobs").mkdir()
+    shutil.copy(whole / "jobs" / "done.json", tmp_path / "jobs")
+    reproduce(tmp_path, *EXECUTORS[executor], "figures=[fig5,fig7]")
+    for table, mine in (("models.csv", lambda row: row["robot"] == "trunk"),
+                        ("runs.csv", lambda row: row["figure"] == "fig7")):
+        expected = [row for row in rows(whole / table) if mine(row)]
+        assert len(expected) == 3 and rows(tmp_path / table) == expected
+    scores = [json.loads((place / "open_loop" / "trunk.json").read_text())["scores"] for place in (tmp_path, whole)]
+    assert scores[0] == scores[1]
 
 
 @pytest.mark.slow
@@ -83,11 +103,11 @@ def test_killed_and_resumed_it_finds_the_same_numbers_to_the_last_digit(whole, t
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     while process.poll() is None and len(list((tmp_path / "models").rglob("card.json"))) < 2:
         time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGKILL)
+    process.kill()
     process.wait()
-    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "jobs" / "data").rglob("*.json")}
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "data").rglob("trajectories.h5")}
     assert len(kept) == 2 and not (tmp_path / "runs.csv").exists()
-    reproduce(tmp_path, "launcher=basic")
+    reproduce(tmp_path, "executor=local", "workers=1")
     assert all(path.stat().st_mtime_ns == then for path, then in kept.items())
     for table in ("models.csv", "runs.csv"):
         assert rows(tmp_path / table) == rows(whole / table)
@@ -97,24 +117,44 @@ def test_killed_and_resumed_it_finds_the_same_numbers_to_the_last_digit(whole, t
 
 
 @pytest.mark.slow
-def test_interrupted_it_leaves_no_process_behind(tmp_path):
-    process = subprocess.Popen([sys.executable, str(SCRIPT), "preset=miniature", f"hydra.run.dir={tmp_path}"],
-                               stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True)
+@pytest.mark.parametrize(("executor", "number"), [
+    ("local", signal.SIGINT), ("local", signal.SIGKILL), ("joblib", signal.SIGTERM), ("joblib", signal.SIGKILL),
+    ("ray", signal.SIGINT), ("submitit", signal.SIGTERM)])
+def test_ended_by_a_signal_it_leaves_no_process_behind(tmp_path, executor, number):
+    """submitit's processes outlive a killed command, as jobs of a cluster do, and find that their turn is over."""
+    if executor in ("ray", "submitit"):
+        pytest.importorskip(executor)
+    mark = uuid.uuid4().hex
+    command = [sys.executable, str(SCRIPT), "preset=miniature", f"hydra.run.dir={tmp_path}", *EXECUTORS[executor]]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+                               env=os.environ | {"SSMR_TEST_MARK": mark}, start_new_session=True)
+    assert wait_until(lambda: list((tmp_path / "jobs").rglob("*/*.log")) or process.poll() is not None)
+    assert len(marked(mark)) > 1
+    process.send_signal(number)
+    said = process.communicate()[1]
+    assert process.returncode != 0
+    if number != signal.SIGKILL:
+        assert "ended by a signal; the same command goes on" in said and not (tmp_path / "unfinished").exists()
+    assert wait_until(lambda: not marked(mark)), marked(mark)
 
-    def running() -> list[str]:
-        found = subprocess.run(["ps", "-ww", "-o", "args=", "-s", str(process.pid)], capture_output=True, text=True)
-        return found.stdout.splitlines()
 
-    def wait_until(condition) -> bool:
-        until = time.monotonic() + 120
-        while not condition() and time.monotonic() < until:
-            time.sleep(0.2)
-        return condition()
+def marked(mark: str) -> list[str]:
+    """Commands of the processes that have this in their environment."""
+    found = []
+    for place in Path("/proc").glob("[0-9]*"):
+        try:
+            if mark.encode() in (place / "environ").read_bytes():
+                found.append((place / "cmdline").read_text().replace("\0", " "))
+        except OSError:  # it ended, or is another user's
+            continue
+    return found
 
-    assert wait_until(lambda: any("LokyProcess" in line for line in running()))
-    process.send_signal(signal.SIGINT)
-    assert "ended by a signal; the same command goes on" in process.communicate()[1]
-    assert process.returncode != 0 and wait_until(lambda: not running()), running()
+
+def wait_until(condition) -> bool:
+    until = time.monotonic() + 120
+    while not condition() and time.monotonic() < until:
+        time.sleep(0.2)
+    return bool(condition())
 
 
 @pytest.mark.slow
@@ -122,7 +162,7 @@ def test_a_failing_job_is_reported_and_missing_and_stops_no_other(whole, tmp_pat
     elsewhere = tmp_path / "a copy"
     shutil.copytree(whole, elsewhere)
     done = start(f"hydra.run.dir='{elsewhere}'", "+preset.train.DMD=['model.timestep=0.013']", "figures=[fig5,fig7]",
-                 "launcher=basic")
+                 "executor=local")
     assert done.returncode == 1 and "models/trunk/DMD: " in done.stderr and "Traceback" not in done.stderr
     assert "1 jobs were left out" in done.stderr
     assert [row["method"] for row in rows(elsewhere / "runs.csv") if row["figure"] == "fig7"] == ["SSMR", "SSSR"]
@@ -135,9 +175,10 @@ def test_a_failing_job_is_reported_and_missing_and_stops_no_other(whole, tmp_pat
 @pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "message"), [
     (["figures=fig13"], "figures is 'fig13'; expected all or some of table1, fig3"),
-    (["launcher.module=hydra_plugins.nowhere"], "nowhere is not installed: pip install 'ssmr_torch[parallel]'"),
-    (["recordings=nowhere"], "recordings=nowhere is no folder; expected the one with the bench's decays.mat"),
-    (["preset.figures.fig7.robot=snake"], "no robot 'snake'; the settings have trunk, hardware"),
+    (["executor=submitit", "executor.cluster=moon"], "executor.cluster is 'moon'; expected slurm or local"),
+    (["preset.needs={nowhere: pip install nowhere}"], "nowhere is not installed: pip install nowhere"),
+    (["recordings=nowhere"], "recordings=nowhere is no folder; expected the one with decays.mat"),
+    (["preset.figures.fig7.robot=snake"], "no robot 'snake'; the settings have trunk, emulated_bench"),
 ])
 def test_bad_input_ends_in_one_clear_message_before_any_work(tmp_path, arguments, message):
     done = start(*arguments, f"hydra.run.dir={tmp_path}")
@@ -145,21 +186,13 @@ def test_bad_input_ends_in_one_clear_message_before_any_work(tmp_path, arguments
     assert not (tmp_path / "jobs").exists()
 
 
-@pytest.mark.parametrize("launcher", sorted(path.stem for path in (CONF / "launcher").glob("*.yaml")))
-def test_every_launcher_names_a_plugin_and_how_to_get_it(launcher):
-    config = composed("reproduce", [f"launcher={launcher}", "workers=3"])
-    chosen = OmegaConf.to_container(config.launcher, resolve=True)
-    assert set(chosen) == {"plugin", "module", "install", "settings"}
-    assert launcher in chosen["plugin"] and (3 in chosen["settings"].values()) == (launcher != "basic")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_job_of_every_preset_composes(preset, tmp_path):
-    settings = OmegaConf.to_container(composed("reproduce", [f"preset={preset}"]).preset, resolve=True)
+    settings = plain(composed("reproduce", [f"preset={preset}"]).preset)
     assert settings["name"] == preset
-    for jobs in plan(with_recordings(settings, str(tmp_path))).values():
-        for step in (step for job in jobs if job.about.get("seed", 0) == 0 for step in job.steps):
+    for job in plan(settings, recordings=str(tmp_path)).jobs:
+        for step in job.steps if job.about.get("seed", 0) == 0 else ():
             composed(step.entry, step.overrides)
 
 

@@ -39,10 +39,13 @@ def test_a_model_is_counted_in_whole_numbers():
     assert (row["timestep"], row["delays"], row["fit_time"]) == (0.01, 1, 0.5)
 
 
-def test_the_note_of_a_tuned_file_is_its_comment_without_the_package_line():
-    assert note_of("# @package _global_\n# Best of 3 trials: -m sweep=x;\n# score 0.1.\nmodel:\n  # six\n  n: 6\n") == (
-        "Best of 3 trials: -m sweep=x; score 0.1.")
-    assert note_of("model: {}\n") == ""
+def test_the_note_of_a_model_says_which_found_settings_its_training_took():
+    found = {"table": "conf/found/trunk.yaml", "row": "models.ssmr", "date": "2026-11-27", "metric": "validation/rmse",
+             "score": 0.1, "trials": 3}
+    assert note_of({"provenance": {"configuration": {"found": found}}}) == (
+        "found settings: row models.ssmr of conf/found/trunk.yaml, of 2026-11-27 (validation/rmse 0.1; best of 3 "
+        "trials).")
+    assert note_of({"provenance": {"configuration": {}}}) == ""
 
 
 def constant(value: float) -> Predictor:

@@ -75,7 +75,7 @@ def test_a_method_that_the_paper_does_not_have_changes_no_verdict():
 
 def test_on_the_bench_both_ssmr_and_sssr_must_be_below_the_baselines():
     def bench(sssr):
-        return [run("fig11", name, ise, robot="hardware", task="circle") for name, ise in
+        return [run("fig11", name, ise, robot="emulated_bench", task="circle") for name, ise in
                 (("SSMR", 1.0), ("SSSR", sssr), ("static pregain", 3.0))]
     assert judge("fig11", Results(bench(2.0))).verdict == "reproduced"
     assert judge("fig11", Results(bench(4.0))).verdict == "refuted"
@@ -126,9 +126,10 @@ def test_delays_shrink_what_is_not_reparametrized():
 def test_the_dimension_is_judged_on_every_robot():
     trunk = [model("SSMR", 8), model("DMD", 45), model("static pregain", 6)]
     assert judge("table1", Results(models=trunk)).verdict == "reproduced"
-    found = judge("table1", Results(models=[*trunk, model("SSMR", 12, "hardware"), model("EDMD", 66, "hardware"),
-                                            model("static pregain", 6, "hardware")]))
-    assert found.verdict == "refuted" and "hardware 12 against 6 of static pregain" in found.reason
+    found = judge("table1", Results(models=[*trunk, model("SSMR", 12, "emulated_bench"),
+                                            model("EDMD", 66, "emulated_bench"),
+                                            model("static pregain", 6, "emulated_bench")]))
+    assert found.verdict == "refuted" and "emulated_bench 12 against 6 of static pregain" in found.reason
 
 
 @pytest.mark.parametrize("figure", ["fig6", "fig7", "fig8", "fig9", "fig11", "fig12"])

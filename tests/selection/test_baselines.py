@@ -20,7 +20,7 @@ N = np.array([[[0.0, 0.05], [0.02, 0.0]], [[-0.03, 0.0], [0.0, 0.04]]])
 # y⁺ of each kind: linear, bilinear in y and u, quadratic in y, and quadratic with y₁² closed under the dynamics
 SYSTEMS = {
     "dmd": lambda y, u: A @ y + B @ u,
-    "koopman_lqr": lambda y, u: A @ y + B @ u,
+    "static_pregain": lambda y, u: A @ y + B @ u,
     "edmd_bilinear": lambda y, u: A @ y + B @ u + np.einsum("jab,b,j->a", N, y, u),
     "edmd_relift": lambda y, u: A @ y + B @ u + np.array([0.3 * y[0] * y[1], -0.5 * y[0] ** 2]),
     "edmd": lambda y, u: np.array([0.9 * y[0], 0.95 * y[1] + 5.0 * y[0] ** 2 + B[1] @ u])}
@@ -46,7 +46,7 @@ def samples_of(step, *, decays=4, runs=4, steps=400):
 def test_a_koopman_form_finds_a_system_of_its_own_kind(kind):
     """Predictions over a second, under inputs that it has not seen, to 1e-6 of the outputs."""
     samples = samples_of(SYSTEMS[kind])
-    model = KoopmanForm(samples, Baseline(kind, delays=1, input_delays=int(kind != "koopman_lqr"))).model(1e-12)
+    model = KoopmanForm(samples, Baseline(kind, delays=1, input_delays=int(kind != "static_pregain"))).model(1e-12)
     y, u = run(SYSTEMS[kind], 400, np.random.default_rng(1))
     z, seen = model.encode(y[None, 9:11], u[None, 9:10])[0], []
     for each in u[10:60]:

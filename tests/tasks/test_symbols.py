@@ -8,10 +8,10 @@ import pytest
 from fontTools.fontBuilder import FontBuilder
 from fontTools.pens.t2CharStringPen import T2CharStringPen
 
-from ssmr_torch.tasks.symbols import contours, pacman, symbol
+from ssmr_torch.tasks.symbols import contours, symbol
 
 EXAMPLES = {"S": symbol(), "I": symbol("I"), "ASL": symbol("ASL", ramp=0.7), "ETH": symbol("ETH", ramp=0.7),
-            "two words": symbol("a b", half_size=0.01, duration=20.0), "pacman": pacman()}
+            "two words": symbol("a b", half_size=0.01, duration=20.0)}
 
 
 def length(points):
@@ -131,21 +131,8 @@ def test_a_font_file_of_cubic_curves_is_drawn_as_well(circle_font):
         symbol("I", font=circle_font)
 
 
-@pytest.mark.parametrize(("radius", "mouth"), [(0.02, np.pi / 3), (0.01, 0.1), (0.03, 5.0)])
-def test_pacman_is_an_arc_and_two_radii_long(radius, mouth):
-    task = pacman(radius, mouth)
-    points = task.reference(np.linspace(0, 10.0, 100001))
-    expected = radius * (2 + 2 * np.pi - mouth)
-    assert length(points) == pytest.approx(expected, rel=1e-4)
-    assert np.median(speed(task, np.linspace(1.1, 8.9, 501))) == pytest.approx(expected / 9.0, rel=1e-5)
-    away = np.linalg.norm(points, axis=1)
-    assert away.max() == pytest.approx(radius, rel=1e-9)
-    on_arc = points[away > radius * (1 - 1e-5)]
-    assert np.abs(np.arctan2(on_arc[:, 1], on_arc[:, 0])).min() == pytest.approx(mouth / 2, abs=1e-3)
-
-
 def test_the_name_is_the_text_unless_it_is_given():
-    assert symbol("ASL").name == "ASL" and symbol("ASL", name="lab").name == "lab" and pacman().name == "pacman"
+    assert symbol("ASL").name == "ASL" and symbol("ASL", name="lab").name == "lab"
 
 
 def test_a_text_that_cannot_be_drawn_is_refused(tmp_path):
@@ -168,15 +155,10 @@ def test_a_text_that_cannot_be_drawn_is_refused(tmp_path):
 @pytest.mark.parametrize(("build", "message"), [
     (lambda: symbol(half_size=0.0), "half_size is 0.0 m"),
     (lambda: symbol(half_size=float("nan")), "half_size is nan m"),
-    (lambda: pacman(radius=-0.02), "radius is -0.02 m"),
-    (lambda: pacman(mouth=0.0), "mouth is 0.0 rad"),
-    (lambda: pacman(mouth=60.0), "60 degrees are 1.0472"),
     (lambda: symbol(duration=-1.0), "lasts -1.0 s"),
     (lambda: symbol(ramp=-1.0), "ramps of -1.0 s"),
     (lambda: symbol(duration=2.0, ramp=1.5), "shorten the ramp"),
     (lambda: symbol(tracked=("tip_x", "tip_y", "tip_z")), "tracks 3 outputs"),
-    (lambda: pacman(tracked=("tip_x",)), "tracks 1 outputs"),
-    (lambda: pacman(tracked=("tip_x", "tip_x")), "each output only once"),
 ])
 def test_impossible_sizes_times_and_outputs_are_refused(build, message):
     with pytest.raises(ValueError, match=message):
