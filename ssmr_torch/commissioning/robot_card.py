@@ -14,8 +14,8 @@ from ssmr_torch.data.card_file import Card, not_as_described, read_card
 from ssmr_torch.plants.base import Plant
 
 PAGE = "docs/commissioning.md"
-SETTLED = 3.0  # s under a neutral input that is not the one that the robot rests under by itself
-LIMITS = ("displacement_limit", "rate_limit", "blind_limit", "ramp")  # may change while a robot is commissioned
+SETTLED = 3.0  # s under a neutral input that differs from the one at the robot's own rest
+LIMITS = ("displacement_limit", "rate_limit", "blind_limit", "ramp")  # may change during a commissioning
 
 
 def _two_or_none(outputs: list[str]) -> list[str]:
@@ -25,20 +25,20 @@ def _two_or_none(outputs: list[str]) -> list[str]:
 
 
 class RobotCard(Card):
-    """What a person says of a robot before it moves; the fields are the keys of the YAML file, see
+    """What a person states about a robot before it moves. The fields are the keys of the YAML file, see
     docs/commissioning.md.
 
-    displacement_limit: m, of every output.   rate_limit: m/s, of every output. Beyond either everything stops.
+    displacement_limit: m, of every output.   rate_limit: m/s, of every output. Beyond one of them everything stops.
     blind_limit: s without a measurement, after which everything stops.   ramp: s, from any input back to the neutral
     one.
-    name, outputs, inputs: as the robot shall say them; where none are given, as it does.
-    bounds: (2, m), within those of the robot; None: the robot's.   neutral: (m,), the input under which the robot is
-    left alone; None: the robot's own, else the admissible one nearest to zero.
-    settle: s under the neutral input before a run begins; None: 0 where the robot rests under it by itself, else 3.
-    tracked: two outputs in which the circles lie; none: those that reach furthest to all sides.
-    expected: input → output that it shall move, with its sign, such as {left: +tip_x}; none: as the names say, if they
+    name, outputs, inputs: the names that the robot must send; empty: any names.
+    bounds: (2, m), within the bounds of the robot; None: the robot's.   neutral: (m,), the input under which the robot
+    is left alone; None: the robot's own neutral input, or the admissible one nearest to zero.
+    settle: s under the neutral input before a run; None: 0 where it is the input at the robot's own rest, else 3.
+    tracked: two outputs in which the circles lie; empty: those that reach furthest to all sides.
+    expected: input → output that it must move, with its sign, such as {left: +tip_x}; empty: as the names say, if they
     do.
-    Raises ValueError for numbers that make no sense.
+    Raises ValueError for impossible numbers.
     """
 
     displacement_limit: FiniteFloat = Field(gt=0, description="a positive, finite number in m")
@@ -57,12 +57,12 @@ class RobotCard(Card):
 
     @property
     def range(self) -> np.ndarray:
-        """The bounds (2, m) as an array; of a card that was `fitted`."""
+        """The bounds (2, m) as an array; only for a card from `fitted`."""
         return np.array(self.bounds, dtype=np.float64)
 
     @property
     def rest(self) -> np.ndarray:
-        """The neutral input (m,) as an array; of a card that was `fitted`."""
+        """The neutral input (m,) as an array; only for a card from `fitted`."""
         return np.array(self.neutral, dtype=np.float64)
 
 
@@ -72,16 +72,16 @@ def read_robot_card(path: str | Path) -> RobotCard:
 
 
 def fitted(card: RobotCard, plant: Plant) -> RobotCard:
-    """The card with everything that it leaves to the robot.
+    """The card, completed with the values of the robot.
 
-    Raises ValueError where card and robot disagree: names, bounds wider than the robot's, a neutral input that is out
-    of bounds, tracked or expected outputs that do not exist.
+    Raises ValueError where card and robot disagree: in names, in bounds wider than the robot's, in a neutral input out
+    of bounds, and in tracked or expected outputs that do not exist.
     """
     for what, said, has in (("name", card.name and [card.name], [plant.name]),
                             ("outputs", card.outputs, plant.output_names), ("inputs", card.inputs, plant.input_names)):
         if said and list(said) != list(has):
-            raise ValueError(f"the card says {what} {list(said)}, the robot {list(has)}; expected the same, in this "
-                             "order: correct the card, or start the right robot")
+            raise ValueError(f"the card has the {what} {list(said)}, but the robot has {list(has)}; expected the same, "
+                             "in this order: correct the card, or start the right robot")
     bounds = _bounds(card, plant)
     neutral = _neutral(card, plant, bounds)
     away = np.abs(neutral - neutral_input(plant)).max() > 0
@@ -97,7 +97,7 @@ def fitted(card: RobotCard, plant: Plant) -> RobotCard:
 
 
 def changed_keys(before: RobotCard, now: RobotCard) -> list[str]:
-    """What of two fitted cards differs and decides what was measured: everything but the limits."""
+    """The entries in which two fitted cards differ, without the limits: they decide what was measured."""
     one, other = before.model_dump(), now.model_dump()
     return [f"{key} was {one[key]}, now it is {other[key]}" for key in one
             if key not in LIMITS and one[key] != other[key]]

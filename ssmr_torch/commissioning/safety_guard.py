@@ -1,4 +1,4 @@
-"""A guard around a robot: whatever steers it, beyond the card's limits the input goes back to neutral and all stops."""
+"""A safety guard around a robot: at a limit of its card the input goes back to neutral and everything stops."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from ssmr_torch.commissioning.robot_card import RobotCard
 from ssmr_torch.plants.base import Plant, PlantSheet, finite_vector
 from ssmr_torch.trajectory import Trajectory
 
-MOVED = 0.05  # of an input's range, after which a measurement has to change
+MOVED = 0.05  # of an input's range: after a larger change a measurement must change, too
 
 
 class SafetyStop(RuntimeError):
-    """A limit of the card was exceeded; the input is neutral again, and the guard steps no more until it is reset."""
+    """A limit of the card was exceeded. The input is neutral again, and the guard makes no step until it is reset."""
 
 
 class GuardedPlant(PlantSheet):
-    """A plant that is watched at every sample, within narrower bounds.
+    """A plant that is checked at every sample, with narrower bounds.
 
-    card: `fitted` to the plant.   share: of what lies between the neutral input and the bounds, that inputs may use.
-    noisy: whether two measurements are never equal to the last bit, so that equal ones tell of a frozen sensor.
-    bridged: whether a missing measurement is returned as the last one that came, for recordings, and not as NaN.
+    card: `fitted` to the plant.   share: of the way from the neutral input to the bounds, which inputs may use.
+    noisy: True if two measurements are never exactly equal, so that equal ones mean a frozen sensor.
+    bridged: True returns the last measurement for a missing one, for recordings; False returns NaN.
 
-    A sample is judged by the median of the last three, so that a single wrong one stops nothing; samples that are
-    missing, or repeat the last one, are left out. Stops: an output beyond displacement_limit; one that moves faster
-    than rate_limit; no measurement for blind_limit s; the same for as long from a noisy sensor while an input moved.
-    Then, and by `relax`, the input goes to neutral in `ramp` s. `reset` goes to rest, then holds the neutral input for
-    `settle` s. `step` and `reset` raise SafetyStop; the run so far is in `run`.
+    The median of the last three samples is judged, so that a single wrong sample does not stop the robot. Samples that
+    are missing, or repeat the last one, are left out. It stops for an output beyond displacement_limit; for one that
+    moves faster than rate_limit; without a measurement for blind_limit s; and when a noisy sensor repeats its value for
+    as long while an input moved. Then, and in `relax`, the input goes to neutral in `ramp` s. `reset` goes to rest and
+    holds the neutral input for `settle` s. `step` and `reset` raise SafetyStop; the run so far is in `run`.
     """
 
     def __init__(self, plant: Plant, card: RobotCard, share: float = 1.0, noisy: bool = False, bridged: bool = False):
         if not 0 < share <= 1:
-            raise ValueError(f"share is {share}; expected more than 0 and at most 1, of the way to the bounds")
+            raise ValueError(f"share is {share}; expected more than 0 and at most 1 of the way to the bounds")
         self.plant, self.card, self.share = plant, card, float(share)
         self.noisy, self.bridged = bool(noisy), bool(bridged)
         self.name, self.timestep, self.rest = plant.name, plant.timestep, plant.rest
@@ -47,12 +47,12 @@ class GuardedPlant(PlantSheet):
         self._begin(np.zeros(len(self.output_names)))
 
     def narrowed(self, share: float, bridged: bool = False) -> GuardedPlant:
-        """A guard of the same plant that lets inputs use this share of the way to the bounds."""
+        """A guard of the same plant in which inputs may use this share of the way to the bounds."""
         return GuardedPlant(self.plant, self.card, share, self.noisy, bridged)
 
     @property
     def parameters(self) -> dict:
-        """What an observation depends on: the plant and the share; the bounds and the neutral input are told apart."""
+        """What an observation depends on: the plant and the share. Bounds and neutral input are recorded separately."""
         return {"plant": described_plant(self.plant), "share": self.share, "settle": self.card.settle}
 
     @property
@@ -69,14 +69,15 @@ class GuardedPlant(PlantSheet):
 
     @property
     def stamp(self) -> float:
-        """s by the robot's own clock, when the last observation was taken; NaN where it is not told."""
+        """s by the robot's own clock at the last observation; NaN where the robot does not send it."""
         bare = getattr(self.plant, "plant", self.plant)  # a rig has no clock
         return getattr(bare, "stamp", np.nan)
 
     def reset(self, seed: int | None = None, state: np.ndarray | None = None) -> np.ndarray:
         """Go to rest and hold the neutral input; any state but None raises ValueError."""
         if state is not None:
-            raise ValueError("a guarded robot cannot be put into a state; expected None, its rest")
+            raise ValueError("a state was given, but a guarded robot cannot be put into a state; expected None, which "
+                             "means rest")
         observation = np.array(self.plant.reset(seed), dtype=np.float64)
         self._applied = neutral_input(self.plant)
         self._begin(observation)
@@ -94,7 +95,7 @@ class GuardedPlant(PlantSheet):
         return observation
 
     def step(self, input: np.ndarray) -> np.ndarray:
-        """Hold the inputs (m,) for one timestep, clipped to the bounds, and judge what came of it."""
+        """Hold the inputs (m,) for one timestep, clipped to the bounds, and check the new measurement."""
         if self.stopped:
             raise SafetyStop(f"{self.stopped} The robot was stopped; reset it before it moves again.")
         u = np.clip(finite_vector(input, len(self.input_names), "input"), *self.input_bounds)
@@ -103,14 +104,14 @@ class GuardedPlant(PlantSheet):
         return self._last.copy() if self.bridged else observation
 
     def relax(self) -> None:
-        """Go to the neutral input by a ramp; a robot that is gone is left to itself."""
+        """Go to the neutral input by a ramp. If the robot is gone, do nothing."""
         if (self._applied != self.neutral_input).any():
             with suppress(OSError, ValueError):
                 for u in self._way_to_neutral(self.card.ramp):
                     self._pass_on(u)
 
     def run(self, name: str, **use) -> Trajectory | None:
-        """What was recorded since the last reset, missing samples held; None of fewer than two samples."""
+        """The recording since the last reset, with missing samples held; None for fewer than two samples."""
         if len(self._observations) < 2:
             return None
         observation = np.array(self._observations)
@@ -123,7 +124,7 @@ class GuardedPlant(PlantSheet):
     def _begin(self, observation: np.ndarray) -> None:
         self.stopped = ""
         self._observations, self._inputs = [observation], []
-        self._recent, self._middle = deque(maxlen=3), None  # (sample number, observation); the same of the last median
+        self._recent, self._middle = deque(maxlen=3), None  # (sample number, observation); the same for the last median
         self._last, self._input_then = np.full(len(self.output_names), np.nan), self._applied
         self._silent = 0
 
@@ -135,7 +136,7 @@ class GuardedPlant(PlantSheet):
         return observation
 
     def _way_to_neutral(self, duration: float) -> list[np.ndarray]:
-        """The inputs of so many s that lead from the last one to the neutral one within the card's ramp."""
+        """The inputs, for this many s, from the last one to the neutral one within the card's ramp."""
         start, ramp = self._applied, max(1, round(self.card.ramp / self.timestep))
         left = np.maximum(1.0 - np.arange(1, max(ramp, round(duration / self.timestep)) + 1) / ramp, 0.0)
         return [self.neutral_input + share * (start - self.neutral_input) for share in left]
@@ -149,7 +150,7 @@ class GuardedPlant(PlantSheet):
             raise SafetyStop(self.stopped)
 
     def _wrong(self, observation: np.ndarray) -> str:
-        """What limit this sample exceeds; empty where none."""
+        """The limit that this sample exceeds, in words; empty where there is none."""
         card, names = self.card, self.output_names
         missing = not np.isfinite(observation).all()
         if missing or (observation == self._last).all():
@@ -157,7 +158,7 @@ class GuardedPlant(PlantSheet):
         self._last, self._silent, self._input_then = observation, 0, self._applied
         self._recent.extend([(len(self._observations), observation)] * (1 if self._recent else 3))
         (_, a), (number, b), (_, c) = self._recent
-        middle = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))  # the median, as of the second sample
+        middle = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))  # the median, from the second sample on
         before, last = self._middle or (number, middle)
         rate = np.abs(middle - last) / (self.timestep * max(number - before, 1))
         self._middle = number, middle
@@ -179,5 +180,5 @@ class GuardedPlant(PlantSheet):
         if missing:
             return f"no measurement came for {seconds:.3g} s, more than the blind_limit of {self.card.blind_limit:g} s,"
         if self.noisy and (np.abs(self._applied - self._input_then) > MOVED * span).any():
-            return f"the sensor shows the same to the last bit for {seconds:.3g} s while the input moves,"
+            return f"the sensor repeats exactly the same values for {seconds:.3g} s while the input moves,"
         return ""

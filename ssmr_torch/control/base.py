@@ -1,4 +1,4 @@
-"""What every controller offers."""
+"""The interface of every controller."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """What a controller answers to one measurement.
+    """The answer of a controller to one measurement.
 
     input: (m,) to hold until the next sample, finite and inside the bounds, in the plant's input unit.
-    plan: the optimization behind it, or None where nothing was optimized.
-    fallback: why the plan could not be used, or None where the input is the one intended.
-    held: the input of the last control step, repeated because the next control step is not due yet.
+    plan: the optimization result; None where nothing was optimized.
+    fallback: why the plan could not be used; None where the input is the intended one.
+    held: True for the input of the last control step, which is repeated until the next control step is due.
     """
 
     input: np.ndarray
@@ -31,9 +31,9 @@ class Command:
 
 @runtime_checkable
 class Controller(Protocol):
-    """Called once per plant sample; decides anew every `period` s and holds its input in between.
+    """Called once per plant sample. It decides every `period` s and holds its input in between.
 
-    A controller never raises because of a value that it measured: it falls back and says so in its command.
+    A controller raises no error for any measured value: it falls back, and its command says so.
     """
 
     period: float
@@ -42,4 +42,4 @@ class Controller(Protocol):
         """Forget all measurements; the same measurements then give the same commands again."""
 
     def __call__(self, time: float, observation: np.ndarray) -> Command:
-        """time in s; observation (p,): displacement from rest, m, before the returned input acts."""
+        """The command at time s for an observation (p,), m: the displacement from rest before this input acts."""

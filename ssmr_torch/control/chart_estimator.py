@@ -1,4 +1,4 @@
-"""From measurements to the reduced state: the chart, applied to the window of the last samples."""
+"""The chart as an estimator: it gives the reduced state from the window of the last samples."""
 
 from __future__ import annotations
 
@@ -9,32 +9,32 @@ import numpy as np
 from ssmr_torch.control.missing_measurements import mend
 from ssmr_torch.control.sampling import RecordedRange
 
-# Samples before the window that are kept to bridge gaps in it.
+# Number of samples before the window that are kept, to fill gaps in it.
 BEFORE = 6
 
 
 class Estimator(Protocol):
-    """Called once for each sample, in order; one that was skipped comes as a missing one.
+    """Estimates the state. It is called once for each sample, in order; a skipped sample is a missing measurement.
 
-    It may have `forget()`, as `reset` but for counts, and `counts`, a Counter of what happened by name.
+    It may have `forget()`, which is `reset` without the counts, and `counts`, a Counter of events by name.
     """
 
     def reset(self) -> None:
         """Forget all measurements."""
 
     def measure(self, observation: np.ndarray, last_input: np.ndarray) -> None:
-        """observation (p,) m, not finite where a value is missing; last_input (m,): held since the one before."""
+        """observation: (p,) m, not finite where a value is missing.   last_input: (m,), held since the last sample."""
 
     def state(self) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-        """z (n,), not finite where it is not known; offsets of the input (m,) and of the output (p,), m, or None."""
+        """z (n,), not finite where it is unknown; offsets of the input (m,) and of the output (p,), m, or None."""
 
 
 class ChartEstimator:
-    """z = v(window): the reduced state is what the chart makes of the newest n_d + 1 samples.
+    """z = v(window): the reduced state is the chart of the newest n_d + 1 samples.
 
     model: with `encode`, `decode`, `state_scale`, `delays`, `input_dim`, `output_dim`. stride: measurements from one
-    sample of the window to the next. Before the first measurement the robot is taken to have rested where it is. Values
-    that are missing, or beyond the recorded range, are replaced in the window once the next good one comes: see `mend`.
+    sample of the window to the next. The robot is assumed to have rested at its first measurement before. Values that
+    are missing or outside the recorded range are replaced in the window when the next good one comes; see `mend`.
     """
 
     def __init__(self, model, stride: int):
@@ -67,10 +67,10 @@ class ChartEstimator:
             self._gaps = mend(self._observations, self._gaps, good)
 
     def window(self) -> tuple[np.ndarray, np.ndarray]:
-        """Views of the delay window (n_d + 1, p), oldest first, and of the inputs (n_d, m) set at all samples but the
-        newest.
+        """Views of the delay window (n_d + 1, p), oldest first, and of the inputs (n_d, m) at all samples but the
+        newest one.
         """
         return self._observations[self._first::self.stride], self._inputs[::self.stride]
 
     def state(self) -> tuple[np.ndarray, None, None]:
-        return self.model.encode(*self.window()), None, None  # which is not finite where the window is not
+        return self.model.encode(*self.window()), None, None  # not finite where the window is not finite

@@ -1,4 +1,4 @@
-"""Bounds of the inputs: what a controller accepts as bounds, and as an input within them."""
+"""Checks of input bounds, and of an input that must lie within them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def changed_bounds(bounds, shape: tuple[int, int]) -> np.ndarray:
-    """Input bounds (2, m) that take the place of others of this shape; equal ones are those of a dead actuator.
+    """New input bounds (2, m) for a controller with bounds of this shape; equal ones fix the input of a dead actuator.
 
     Raises ValueError, with both numbers, for bounds that are not finite or crossed, and for another shape.
     """
@@ -21,7 +21,7 @@ def changed_bounds(bounds, shape: tuple[int, int]) -> np.ndarray:
 
 
 def admissible_input(name: str, given, bounds: np.ndarray) -> np.ndarray:
-    """The input (m,) that was given; None: that within the bounds (2, m) which is nearest to zero.
+    """The given input (m,); None: the input within the bounds (2, m) that is nearest to zero.
 
     Raises ValueError, with the name of the setting, where it is not m numbers within the bounds.
     """

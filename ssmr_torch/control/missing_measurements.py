@@ -1,4 +1,4 @@
-"""Gaps in the window of an estimator: what takes the place of measurements that were dropped or out of range."""
+"""Fills gaps in the window of an estimator: values for measurements that were dropped or out of range."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import numpy as np
 
 
 def mend(observations: np.ndarray, gaps: np.ndarray | None, good: np.ndarray) -> np.ndarray | None:
-    """Fill, in place, the gaps that end with the newest sample; the gaps that are still open after it.
+    """Fill, in place, the gaps that end with the newest sample. Returns the gaps that are still open after it.
 
-    observations: (T, p), oldest first, m. gaps: (p,) samples since the last good value of each output, None where all
-    are zero; so is what is returned. good: (p,) whether the newest value of each output is there and in range.
+    observations: (T, p), oldest first, m. gaps: (p,) samples since the last good value of each output; None where all
+    are zero, also in the result. good: (p,) whether the newest value of each output is present and in range.
 
-    A gap of g samples between the values y_a and y_b is filled by the parabola through y_a, y_b and the value as long
-    before y_a; by a straight line where that value is not kept; by y_b where the gap is longer than the window.
+    A gap of g samples between the values y_a and y_b is filled by the parabola through y_a, y_b and the value g samples
+    before y_a; by a straight line where this value is no longer stored; by y_b where the gap is longer than the window.
     """
     gaps = np.zeros(len(good), dtype=int) if gaps is None else gaps
     for output in np.flatnonzero(good & (gaps > 0)):

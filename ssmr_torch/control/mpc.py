@@ -34,33 +34,33 @@ if TYPE_CHECKING:
     from ssmr_torch.tasks.references import Task
     from ssmr_torch.trained_model import TrainedModel
 
-# A reference that differs by more than this from the one planned for is a new one, m.
+# m: a reference that differs by more than this from the planned one counts as a new reference.
 REFERENCE_CHANGE = 1e-6
-# Share of an input's range by which it must have changed for a measurement to have to change.
+# If an input has changed by more than this share of its range, the measurement must change, too.
 MOVED = 0.05
 
 
 class ModelPredictiveController(DataSheet):
     """Receding-horizon tracking with a reduced model (paper, section 4.4; see `TrackingProblem`).
 
-    model: a `Model`, or what has one as its `reduced`, such as a Torch module.
-    task: `columns(output_names)` and `reference(time)`, perhaps `obstacles`, such as `tasks.references.Task`.
-    input_bounds: (2, m).   timestep: time between two measurements, s; default the model's window_timestep.
-    output_names: of the observations, those of the model where none are given.
-    settings: `PredictiveControlSettings`, which says what each is; changes: some of them by name, in their place.
-    solver: an object with `solve(QuadraticProgram)` and `reset()` in place of that named by the setting qp, and
-    perhaps `advance`, see `ProxQP`.
+    model: a `Model`, or an object that has one as `reduced`, such as a Torch module.
+    task: with `columns(output_names)` and `reference(time)`, perhaps `obstacles`, such as `tasks.references.Task`.
+    input_bounds: (2, m).   timestep: s, between two measurements; default: the model's window_timestep.
+    output_names: of the observations; default: those of the model.
+    settings: `PredictiveControlSettings`, where each one is explained; changes: some of them by name.
+    solver: an object with `solve(QuadraticProgram)` and `reset()`, in place of the solver in the setting qp; it may
+    have `advance`, see `ProxQP`.
 
-    A step that cannot be trusted falls back to the plan made last, then to safe_input, under the same bounds
-    and rate; `fallbacks` counts the reasons by Status, and `counts` what happened to time and measurements, see
-    `Sampling`, `KalmanObserver`, and below. The time of a call places it among the samples: skipped ones are told to
-    the estimator as missing, and where the time has jumped the controller begins anew from where the robot is.
-    `input_bounds` can be changed between steps without losing window, plan and observer. A controller can be copied and
-    pickled, and the copy gives the same commands, to the last bit. Everything is compiled and run once at construction.
-    `prepare` may be called between two measurements: it linearizes and condenses around the shifted plan, and the next
-    step only has to solve.
-    Raises ValueError when a period is not a multiple of the timestep or sizes or names disagree, TypeError for a change
-    of what is no setting and for what is no model.
+    A step without a usable result falls back to the last plan, and later to safe_input, under the same bounds and rate.
+    `fallbacks` counts the reasons by Status. `counts` counts events in time and measurements, see `Sampling`,
+    `KalmanObserver`, and below. The time of a call gives its place among the samples. Skipped samples are missing
+    measurements for the estimator. After a jump in time the controller starts again at the robot's position.
+    `input_bounds` can be changed between steps; window, plan and observer are kept. A controller can be copied and
+    pickled, and the copy gives exactly the same commands. Everything is compiled and run once at construction.
+    `prepare` may be called between two measurements: it linearizes and condenses around the shifted plan, so that the
+    next step only has to solve.
+    Raises ValueError when a period is not a multiple of the timestep, or when sizes or names disagree; TypeError for an
+    unknown setting, and for a model or settings of the wrong type.
     """
 
     @configurable(PredictiveControlSettings, given=("settings", "timestep", "output_names", "solver"))
@@ -89,10 +89,10 @@ class ModelPredictiveController(DataSheet):
         self.horizon = horizon_for(model, self.problem, self.actuator.actuator)
         self.safe_input = self._safe = admissible_input("safe_input", settings.safe_input, self._bounds)
         self.solver = solver_named(settings.qp, *self.problem.size) if solver is None else solver
-        # with a rate limit and obstacles a start one stage on was found to take more iterations, not fewer
+        # With a rate limit and obstacles, a start from the next stage took more iterations, not fewer.
         self._advance = None if self.problem.input_step is not None else getattr(self.solver, "advance", None)
         self._largest_norm = settings.range_factor * float(np.linalg.norm(model.state_scale))
-        # a model in discrete time need not know steps as short as the measurements'
+        # A model in discrete time may not have steps as short as the timestep of the measurements.
         observer = settings.observer
         fine = model.at_timestep(self.timestep) if observer or self._age or self._lead else None
         self._step = None if fine is None else Stepper(fine)
@@ -120,16 +120,16 @@ class ModelPredictiveController(DataSheet):
 
     @property
     def counts(self) -> Counter[str]:
-        """How often what happened since the last reset, by name; beside those of sampling and estimator: steps that
-        were "cut short" by the budget, or "late" all the same, and "arithmetic" that failed.
+        """Counts of events since the last reset, by name. Besides those of sampling and estimator: "cut short", steps
+        that the budget ended early; "late", steps over the budget; "arithmetic", steps with a numerical error.
         """
         return self._counts + self._sampling.counts + getattr(self.estimator, "counts", Counter())
 
     @property
     def input_bounds(self) -> np.ndarray:
-        """(2, m), of the commands from now on; equal ones hold an actuator still.
+        """(2, m), for all later commands. With equal bounds the input stays constant.
 
-        Bounds that cannot be met at the allowed rate are met at once. Setting them raises ValueError, with both
+        Bounds that cannot be reached at the allowed rate are applied at once. Setting them raises ValueError, with both
         numbers, where they are crossed or not finite.
         """
         return self._bounds.copy()
@@ -143,11 +143,11 @@ class ModelPredictiveController(DataSheet):
         self._prepared = None
 
     def _plannable(self, bounds) -> np.ndarray:
-        """Of what is planned, under commands within bounds (2, m)."""
+        """Bounds of the planned (transmitted) inputs, for commands within bounds (2, m)."""
         return self.actuator.actuator.reachable(bounds) if self.actuator.actuator.rubs else bounds
 
     def _warm_up(self) -> None:
-        self._budget = inf  # what is compiled takes its time
+        self._budget = inf  # compiling takes time
         self.reset()
         zero = np.zeros(self.model.output_dim)
         for k in range(self._sampling.every + 1):
@@ -168,9 +168,9 @@ class ModelPredictiveController(DataSheet):
         self._start_anew()
 
     def _start_anew(self) -> None:
-        """Forget the robot's past, all but the input that it was told last."""
+        """Forget the robot's past, except the last input that it got."""
         getattr(self.estimator, "forget", self.estimator.reset)()
-        # what acted before the measurement that comes next, and since
+        # The inputs that acted before the next measurement, and since then.
         self._applied = deque([self.actuator.acting] * (self._age + 1), maxlen=self._age + 1)
         self._reference.begin_at(None, 0.0)
         self._plan: Plan | None = None
@@ -180,7 +180,7 @@ class ModelPredictiveController(DataSheet):
         self.solver.reset()
 
     def __call__(self, time: float, observation: np.ndarray) -> Command:
-        """time in s; observation (p,), m, whatever its values. Raises ValueError for one of another size."""
+        """The command at time s for any observation (p,), m. Raises ValueError for an observation of another size."""
         began = thread_time()
         self._deadline = began + self._budget
         if hasattr(self.solver, "deadline"):
@@ -189,11 +189,11 @@ class ModelPredictiveController(DataSheet):
         if not sample.new:
             self.fallbacks[Status.WRONG_TIME] += 1
             return Command(self._last_input.copy(), fallback=Status.WRONG_TIME)
-        # Overflow is no accident here: it is how a state far outside the model's range shows.
+        # Overflow is expected here: it shows that a state is far outside the model's range.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             try:
                 command = self._answered(sample)
-            except (ArithmeticError, np.linalg.LinAlgError):  # of a state or a measurement that no model knows
+            except (ArithmeticError, np.linalg.LinAlgError):  # for a state or measurement outside the model's domain
                 self._counts["arithmetic"] += 1
                 self._start_anew()
                 command = self._fall_back(sample.time, None, Status.NOT_FINITE)
@@ -215,16 +215,16 @@ class ModelPredictiveController(DataSheet):
         return self._decide(sample.time) if sample.due else Command(self._last_input.copy(), held=True)
 
     def _act(self) -> None:
-        """The last input is given until the next sample."""
+        """The last input is applied until the next sample."""
         self.actuator.apply(self._last_input)
         self._applied.append(self.actuator.acting)
 
     def prepare(self) -> None:
-        """Linearize and condense around the plan for the next step; to be called when the input has been sent."""
+        """Linearize and condense around the plan for the next step. Call it after the input has been sent."""
         self._prepared = None
         disturbed = self._lead or self.horizon.input_offset is not None or self.horizon.output_offset is not None
         if disturbed or self._plan is None or not self._planned_now or not self._sampling.due_next:
-            return  # an estimated disturbance moves with the next measurement, and the linearization with it
+            return  # the next measurement changes an estimated disturbance, and so the linearization
         time, guess = self._plan.time + self.period, self._plan.shifted()
         reference = self.problem.reference_ahead(time)
         guess = self.problem.admissible(guess, self._held)
@@ -232,7 +232,7 @@ class ModelPredictiveController(DataSheet):
             self._prepared = time, self.horizon.condense(self._plan.states[1], guess, reference)
 
     def _watch_sensor(self, observation: np.ndarray) -> None:
-        """Count equal measurements in a row, and remember the input at the first of them."""
+        """Count equal measurements in a row, and store the input at the first of them."""
         if self._seen is None or (observation != self._seen).any():
             self._seen, self._repeats, self._input_then = observation, 0, self._last_input
         else:
@@ -246,11 +246,11 @@ class ModelPredictiveController(DataSheet):
 
     @property
     def _held(self) -> np.ndarray:
-        """What the last command transmits, from which the next one counts."""
+        """The transmitted part of the last command, from which changes are counted."""
         return self.actuator.transmitted
 
     def _decide(self, time: float) -> Command:
-        time = time + self._lead  # of the first input that can still be chosen, when it acts
+        time = time + self._lead  # when the first input acts that can still be chosen
         state, self.horizon.input_offset, self.horizon.output_offset = self.estimator.state()
         self._reference.disturbance, plan = self.horizon.output_offset, None
         decided, self.horizon.lagged_from = self.actuator.decided()
@@ -270,13 +270,13 @@ class ModelPredictiveController(DataSheet):
         return Command(self._crossing(plan.inputs[0]), plan)
 
     def _crossing(self, wanted: np.ndarray) -> np.ndarray:
-        """The command (m,) that transmits this, within the bounds."""
+        """The command (m,) within the bounds that transmits this input."""
         if not self.actuator.actuator.rubs:
             return wanted.copy()
         return np.clip(self.actuator.actuator.crossing(self._held, wanted), *self._bounds)
 
     def _bridged(self, state: np.ndarray, acting) -> np.ndarray:
-        """The state when the next input acts, of one that is as old as the measurements are."""
+        """The state when the next input acts, from a state that is as old as the measurements."""
         offset = self.horizon.input_offset
         for applied in acting:
             state, _ = self._step(state, applied if offset is None else applied + offset)
@@ -290,7 +290,7 @@ class ModelPredictiveController(DataSheet):
             guess = self._plan.shifted(steps)
         reference = self.problem.reference_ahead(time)
         in_time = steps == 1 and abs(time - self._plan.time - self.period) < 0.1 * self.period
-        tracked = self._reference.columns  # a posture moves with the disturbance, and is no new reference
+        tracked = self._reference.columns  # a posture changes with the disturbance, which is not a new reference
         continued = self._planned_now and in_time and continues(reference[:, tracked], self._plan.reference[:, tracked],
                                                                 REFERENCE_CHANGE)
         iterations = self.settings.iterations
@@ -309,7 +309,7 @@ class ModelPredictiveController(DataSheet):
         return plan
 
     def _steps_since_plan(self, time: float) -> int | None:
-        """Control steps since the last plan, the nearest number, or None where it says nothing about now."""
+        """Control steps since the last plan, rounded; None where the plan does not cover the present time."""
         if self._plan is None:
             return None
         steps = (time - self._plan.time) / self.period

@@ -1,7 +1,7 @@
-"""What a sampled controller does with every call before it decides: time, dropped and unreadable measurements, range.
+"""What a controller does with every call before it decides: its time, missing or unreadable measurements, and range.
 
-`SampleClock` places the call among the samples, `read` turns whatever was measured into p numbers, `RecordedRange` says
-which of them can be displacements of the robot, and `Sampling` does all three and says whether a control step is due.
+`SampleClock` finds the sample of the call. `read` turns any measurement into p numbers. `RecordedRange` tells which of
+them can be displacements of the robot. `Sampling` does all three, and tells whether a control step is due.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from typing import NamedTuple
 import numpy as np
 
 log = logging.getLogger(__name__)
-# Share of a timestep by which a measurement may come early or late and still belong to its sample.
+# Share of a timestep by which a measurement may be early or late and still belong to its sample.
 EARLY_OR_LATE = 0.1
-# A displacement of more than this many times the recorded range is not believed to be one.
+# A value of more than this many times the recorded range is not taken as a displacement.
 BEYOND = 2.0
-# The range of an output is at least this share of the widest one's.
+# The range of an output is at least this share of the widest range.
 NARROWEST = 0.2
 BEYOND_THE_RANGE = "beyond the recorded range"
 
 
 class Interval(NamedTuple):
-    """What the time of a call says.
+    """What follows from the time of a call.
 
-    missed: samples that were skipped since the last call.   anew: the time says nothing about the last call, the
-    controller begins again from where the robot is.   new: False where the sample of the last call is still the newest.
+    missed: number of samples that were skipped since the last call.   anew: True after a jump in time, when the
+    controller must start again at the robot's position.   new: False if there is no new sample since the last call.
     """
 
     missed: int = 0
@@ -38,10 +38,11 @@ class Interval(NamedTuple):
 class SampleClock:
     """Places each call on the grid of the samples, `timestep` s apart.
 
-    An interval of k timesteps means that k − 1 samples were skipped; at most `longest` may be. A call that is off the
-    grid by more than `EARLY_OR_LATE` belongs to the nearest sample, and the difference is carried along: intervals of
-    1.5 timesteps count as one and two in turn. A call within half a timestep of the last one brings nothing new. A jump
-    backwards, or over more than `longest` samples, starts anew. A time that is not finite counts as the next sample.
+    An interval of k timesteps means that k − 1 samples were skipped; at most `longest` may be skipped. A call that is
+    off the grid by more than `EARLY_OR_LATE` belongs to the nearest sample, and the difference is kept: intervals of
+    1.5 timesteps count as one and two in turn. A call within half a timestep of the last one gives no new sample. After
+    a jump backwards, or over more than `longest` samples, the clock restarts. A time that is not finite counts as that
+    of the next sample.
 
     counts: "skipped" samples, "irregular" intervals, "repeated" calls, calls "without time", "restarted" by a jump.
     """
@@ -57,7 +58,7 @@ class SampleClock:
         self._last: float | None = None
 
     def advance(self, time: float) -> Interval:
-        """time in s, of this call."""
+        """The interval for a call at time s."""
         since = 0.0 if self._last is None else (time - self._last) / self.timestep
         if not (isfinite(time) and isfinite(since)):
             self.counts["without time"] += 1
@@ -87,7 +88,7 @@ class SampleClock:
 
 
 def seconds(time) -> float:
-    """time as a number, not one where it is none."""
+    """The time as a number; NaN where it is not a number."""
     try:
         return float(time)
     except (TypeError, ValueError, OverflowError):
@@ -97,7 +98,7 @@ def seconds(time) -> float:
 def read(observation, size: int) -> tuple[np.ndarray, bool]:
     """The observation as float64 (size,), a copy, and whether every value in it was a number.
 
-    What is masked, or no number (None, a word, something complex), becomes NaN: a missing value.
+    A masked value, or one that is not a number (None, a text, a complex number), becomes NaN: a missing value.
     Raises ValueError for another shape.
     """
     if type(observation) is np.ndarray and observation.dtype == np.float64:
@@ -118,10 +119,10 @@ def _numbers(observation, size: int) -> tuple[np.ndarray, bool]:
         if numeric:
             return np.array(np.asarray(observation, dtype=np.float64)), True
     except (TypeError, ValueError, OverflowError, RuntimeError):
-        pass  # not numbers alone: each is looked at below
+        pass  # there are other values than numbers: each one is checked below
     try:
         values = np.asarray(observation, dtype=object)
-    except (TypeError, ValueError, RuntimeError):  # what refuses to be an array
+    except (TypeError, ValueError, RuntimeError):  # not convertible to an array
         return np.full(tuple(getattr(observation, "shape", ())), np.nan), False
     return np.array([_number(value) for value in values.ravel()]).reshape(values.shape), False
 
@@ -138,8 +139,8 @@ class RecordedRange:
 
         r_j = Σ_i max(|w_j(s_i e_i) − w_j(0)|, |w_j(−s_i e_i) − w_j(0)|),   s = state_scale,
 
-    at least `NARROWEST` times the widest. center w(0) (p,), limit `BEYOND` r (p,), both m; the largest number there is
-    where state_scale is not known.
+    and at least `NARROWEST` times the widest. center w(0) (p,), limit `BEYOND` r (p,), both m; the limit is the largest
+    float where state_scale is unknown.
     """
 
     def __init__(self, model):
@@ -155,21 +156,21 @@ class RecordedRange:
             self.center, self.limit = center, BEYOND * np.maximum(reach, NARROWEST * reach.max())
 
     def holds(self, observation: np.ndarray) -> np.ndarray:
-        """(p,), False for an output that is missing or further away than any displacement can be."""
+        """(p,), False for an output that is missing or outside the limit."""
         return np.abs(observation - self.center) <= self.limit
 
     def complaint(self, observation: np.ndarray) -> str:
-        """What is wrong with a first measurement that lies beyond, with both numbers."""
+        """A message about a first measurement outside the limit, with both numbers."""
         excess = np.where(np.isfinite(observation), np.abs(observation - self.center) / self.limit, 0.0)
         worst = int(np.argmax(excess))
         return (f"output {worst} is {1e3 * observation[worst]:.4g} mm at the first measurement; the model was trained "
                 f"within {1e3 * self.limit[worst] / BEYOND:.4g} mm. Expected displacements from rest: subtract the "
-                "rest position from absolute ones, or record further out")
+                "rest position from absolute positions, or record larger motions")
 
 
 class Sample(NamedTuple):
     """A call: time in s, perhaps not finite; observation (p,) m, not finite where missing; missed, anew and new as in
-    `Interval`; due: a control step is.
+    `Interval`; due: whether a control step is due.
     """
 
     time: float
@@ -181,13 +182,13 @@ class Sample(NamedTuple):
 
 
 class Sampling:
-    """Reads the calls of a controller that decides at every `every`-th sample, `timestep` s apart.
+    """Reads the calls of a controller that decides at every `every`-th sample, with samples `timestep` s apart.
 
-    model: with `state_scale`, `decode` and `output_dim`. longest: samples that may be skipped without a fresh start.
-    A step that is due at a skipped sample is due at the next one, and the following ones are counted from there.
-    A first measurement outside of the recorded range, such as an absolute position, is told to the log, once.
-    counts: those of `SampleClock`, and measurements "missing" in part or whole, "unreadable" where a value was no
-    number, and "beyond the recorded range".
+    model: with `state_scale`, `decode` and `output_dim`. longest: samples that may be skipped without a restart.
+    A control step that is due at a skipped sample is taken at the next one, and later steps are counted from there.
+    A first measurement outside the recorded range, such as an absolute position, is logged once.
+    counts: those of `SampleClock`, and measurements that are partly or wholly "missing", "unreadable" (a value was not
+    a number), or "beyond the recorded range".
     """
 
     def __init__(self, model, timestep: float, every: int, longest: int):
@@ -206,7 +207,7 @@ class Sampling:
 
     @property
     def due_next(self) -> bool:
-        """Whether the next sample, when it comes in time, is that of a control step."""
+        """Whether a control step is due at the next sample, if it comes in time."""
         return self._index % self.every == 0
 
     def take(self, time, observation) -> Sample:

@@ -1,4 +1,4 @@
-"""The controller's end of the wire: which message is answered how, without sockets and clocks of its own."""
+"""The controller's end of the wire: how it answers each message. It has no socket and no clock of its own."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 
 
 class Sample(NamedTuple):
-    """What a controller was given and what it answered: s, (p,) m with NaN where nothing came, its Command, s."""
+    """One sample: time s, observation (p,) m (NaN where nothing came), the controller's Command, solve time s."""
 
     time: float
     observation: np.ndarray
@@ -34,26 +34,26 @@ class Reply(NamedTuple):
 
 
 class ControllerEnd:
-    """Answers robots, one at a time, with the commands of a controller.
+    """Answers robots with the commands of a controller, one robot at a time.
 
-    build: RobotDescription → Controller; its ValueError is what the robot is refused with.
-    duration: s after which a run is over, None for never.
-    deadline: s after a measurement of a real-time robot was due when the controller goes on without it; default half
-    of the robot's timestep.   timeout: s without a measurement after which a real-time robot is taken for dead.
-    patience: the same for a robot in lock-step, and for the first measurement of any.   seed: told to every robot.
+    build: RobotDescription → Controller; if it raises ValueError, the robot is refused with this message.
+    duration: s, length of a run; None: no limit.
+    deadline: s after a measurement of a real-time robot was due, at which the controller continues without it; default:
+    half of the robot's timestep.   timeout: s without a measurement after which a real-time robot counts as dead.
+    patience: the same for a robot in lock-step, and for the first measurement of every robot.   seed: for the robots.
 
-    A missing measurement is to the controller a vector of NaN, as of a rig with `dropped=missing`: the model
-    predictive controller answers it with the next input of its last plan, then with the safe one, within bounds and
-    rate. When a robot dies the controller is reset and waits for the next.
-    description, samples: robot and samples of the run now, or of the last one.   counts: of messages, and of lost
-    robots, over all runs (docs/wire.md).   finished: runs that the task or the robot ended.
+    The controller sees a missing measurement as a vector of NaN, like that of a rig with `dropped=missing`. A model
+    predictive controller then gives the next input of its last plan, later the safe input, within bounds and rate. When
+    a robot dies, the controller is reset and waits for the next robot.
+    description, samples: of the present run, or of the last one.   counts: of messages and of lost robots, over all
+    runs (docs/wire.md).   finished: number of runs that the task or the robot ended.
     """
 
     def __init__(self, build: Callable[[RobotDescription], object], *, duration: float | None = None,
                  deadline: float | None = None, timeout: float = 0.5, patience: float = 60.0, seed: int | None = 0):
         if not (timeout > 0 and patience > 0 and (deadline is None or deadline >= 0)):
-            raise ValueError(f"deadline is {deadline} s, timeout {timeout} s and patience {patience} s; "
-                             "expected 0 or more, or null for half a timestep, and two positive times")
+            raise ValueError(f"deadline is {deadline} s, timeout {timeout} s and patience {patience} s; expected a "
+                             "deadline of 0 or more, or null for half a timestep, and a positive timeout and patience")
         self.build, self.duration, self.deadline, self.seed = build, duration, deadline, seed
         self.timeout, self.patience = float(timeout), float(patience)
         self.counts: Counter[str] = Counter()
@@ -69,11 +69,11 @@ class ControllerEnd:
 
     @property
     def running(self) -> bool:
-        """Whether there is a robot."""
+        """Whether a robot is in a run."""
         return self._peer is not None
 
     def due(self) -> float:
-        """When `tick` has something to do, on the clock of `now`; infinite without a robot."""
+        """When `tick` must be called next, on the clock of `now`; infinite without a robot."""
         if not self.running:
             return np.inf
         if self._paced:
@@ -81,7 +81,7 @@ class ControllerEnd:
         return self._heard + self.patience
 
     def receive(self, peer: bytes, data: bytes, now: float) -> list[Reply]:
-        """What to send upon these bytes; now: s of any clock that never goes back."""
+        """The replies to these bytes; now: s of any clock that never goes back."""
         try:
             message = unpack(data)
         except Malformed as error:
@@ -98,7 +98,7 @@ class ControllerEnd:
         return self._malformed(f"a {message.kind.name}, which only a controller sends")
 
     def tick(self, now: float) -> list[Reply]:
-        """What to send because nothing has come; call it at `due` when no message waits to be read."""
+        """The messages to send because nothing has come. Call it at `due` when no message waits to be read."""
         replies: list[Reply] = []
         while now >= self.due():
             limit = self.timeout if self._paced else self.patience
@@ -110,7 +110,7 @@ class ControllerEnd:
         return replies
 
     def end(self, why: str, finished: bool = False) -> list[Reply]:
-        """End the run, if there is one, and be ready for the next."""
+        """End the run, if there is one, and be ready for the next one."""
         if not self.running:
             return []
         log.info("the run is over: %s", why)
@@ -169,13 +169,14 @@ class ControllerEnd:
             return self._malformed(f"{len(message.values)} values at {message.time} s as measurement "
                                    f"{message.sequence}", counted=True)
         self._peer, self._heard = peer, now
-        # A late measurement tells as well how long the way is now; due is when the one after it should be here.
+        # A late measurement also shows the present travel time. `due` is the time when the next one should be here.
         ahead = message.sequence + 1 - self._stream.next
         if place is Place.NEXT or ahead == 0:
             self._due = now + self.description.timestep + self._slack
         if place is Place.BEYOND:
             self.counts["lost_robots"] += 1
-            return self.end(f"measurement {message.sequence} came after {self._stream.next - 1}: too many are missing")
+            return self.end(f"measurement {message.sequence} arrived after {self._stream.next - 1}: too many between "
+                            "them are missing")
         if place is Place.AGAIN:
             return [] if self._answer is None else [Reply(peer, self._answer)]
         if place is Place.PAST:
@@ -197,7 +198,7 @@ class ControllerEnd:
         return sample
 
     def prepare(self) -> None:
-        """When an input has been sent to a robot that does not wait: what can be done before its next measurement."""
+        """After a real-time robot got its input: do the work that can be done before its next measurement."""
         if self.description is not None and self.description.real_time:
             getattr(self.controller, "prepare", lambda: None)()
 
@@ -212,12 +213,12 @@ class ControllerEnd:
     def _malformed(self, what, counted: bool = False) -> list[Reply]:
         self.counts["malformed"] += not counted
         if self.counts["malformed"] == 1:
-            log.warning("a malformed message was dropped, as further ones will be without a word: %s", what)
+            log.warning("a malformed message was dropped; further ones will be dropped without a message: %s", what)
         return []
 
 
 def code_of(command) -> Code:
-    """The status of a COMMAND with this Command."""
+    """The status for a COMMAND message with this Command."""
     if command.fallback is not None:
         return Code.__members__.get(command.fallback.name, Code.OTHER)
     return Code.HELD if command.held else Code.OK

@@ -1,4 +1,4 @@
-"""The two ends of a ZeroMQ connection; the only room that knows ZeroMQ."""
+"""The two ends of a ZeroMQ connection. No other file imports ZeroMQ."""
 
 from __future__ import annotations
 
@@ -7,33 +7,33 @@ from ssmr_torch.wire.messages import Message
 try:
     import zmq
 except ImportError as error:
-    raise ImportError("a robot or controller elsewhere is reached through ZeroMQ, which is not installed: "
+    raise ImportError("a connection to a robot or controller needs ZeroMQ, which is not installed: "
                       "pip install 'ssmr_torch[wire]'") from error
 
-# Enough for a second of silence at 1 kHz; what is more is of no use to anybody.
+# Messages that may wait: enough for a second of silence at 1 kHz. Older ones would be useless.
 QUEUE = 1000
-# Of a robot without a controller: few old measurements, which the controller takes for foreign, and few HELLOs.
+# Unsent messages of a robot without a controller: few HELLOs, and few old measurements, which would be ignored.
 UNSENT = 16
 
 
 class _Link:
-    """A socket with timeouts everywhere, which leaves nothing behind when it is closed."""
+    """A socket with timeouts for everything, which leaves nothing behind when it is closed."""
 
     def __init__(self, kind: int):
         self._context = zmq.Context()
         self._socket = self._context.socket(kind)
-        self._socket.setsockopt(zmq.LINGER, 200)  # ms, so that a farewell still leaves
+        self._socket.setsockopt(zmq.LINGER, 200)  # ms, so that the last message is still sent
         self._socket.setsockopt(zmq.SNDHWM, QUEUE)
         self._socket.setsockopt(zmq.RCVHWM, QUEUE)
         self._socket.setsockopt(zmq.MAXMSGSIZE, 1 << 20)
 
     @property
     def endpoint(self) -> str:
-        """The address with the port that was chosen, such as tcp://127.0.0.1:5555."""
+        """The address with the chosen port, such as tcp://127.0.0.1:5555."""
         return self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
 
     def close(self) -> None:
-        """Let go of the address; a second time does nothing."""
+        """Release the address; a second call does nothing."""
         if not self._socket.closed:
             self._socket.close()
             self._context.term()
@@ -54,8 +54,8 @@ class _Link:
 class ControllerLink(_Link):
     """The controller's end: waits at an address for robots.
 
-    bind: such as tcp://*:5555; tcp://127.0.0.1:* lets the system choose a port that only this machine reaches.
-    Raises OSError for an address that is taken or none.
+    bind: such as tcp://*:5555; with tcp://127.0.0.1:* the system chooses a port that only this computer can reach.
+    Raises OSError for an address that is in use or is not an address.
     """
 
     def __init__(self, bind: str):
@@ -67,13 +67,13 @@ class ControllerLink(_Link):
             raise OSError(f"cannot wait at {bind!r}: {error}; expected a free address such as tcp://*:5555") from error
 
     def receive(self, timeout: float) -> tuple[bytes, bytes] | None:
-        """(who, bytes) of the next message, or None when none came within `timeout` s."""
+        """(peer, bytes) of the next message, or None when none came within `timeout` s."""
         frames = self._frames(timeout)
-        # A message in several parts is none of ours; joined it is counted as malformed like any other.
+        # No message of ours has several parts. Joined, it is counted as malformed like any other.
         return None if frames is None else (frames[0], b"".join(frames[1:]))
 
     def send(self, peer: bytes, message: Message) -> bool:
-        """Whether the message was taken; never waits, as a robot that is gone must not hold up the controller."""
+        """Send without waiting, because a robot that is gone must not delay the controller. Whether it was accepted."""
         try:
             self._socket.send_multipart([peer, message.pack()], zmq.NOBLOCK)
         except zmq.ZMQError:
@@ -82,14 +82,14 @@ class ControllerLink(_Link):
 
 
 class RobotLink(_Link):
-    """The robot's end: connects to the controller's address, again and again until somebody is there.
+    """The robot's end: connects to the controller's address, and tries again until a controller is there.
 
-    connect: such as tcp://192.168.0.2:5555.   Raises OSError for what is no address.
+    connect: such as tcp://192.168.0.2:5555.   Raises OSError for something that is not an address.
     """
 
     def __init__(self, connect: str):
         super().__init__(zmq.DEALER)
-        # Not IMMEDIATE, which would queue nothing: it also throws away the farewell of a controller that is gone.
+        # IMMEDIATE would queue nothing, but would also throw away the last message of a controller that is gone.
         self._socket.setsockopt(zmq.SNDHWM, UNSENT)
         try:
             self._socket.connect(connect)
@@ -104,7 +104,7 @@ class RobotLink(_Link):
         return None if frames is None else b"".join(frames)
 
     def send(self, message: Message) -> bool:
-        """Whether the message was taken; never waits."""
+        """Send without waiting. Whether the message was accepted."""
         try:
             self._socket.send(message.pack(), zmq.NOBLOCK)
         except zmq.Again:

@@ -22,23 +22,23 @@ import numpy as np
 
 MAGIC, VERSION = b"SSMR", 1
 HEADER = struct.Struct("<4sBBHIIQd")
-# No robot here has nearly as many outputs, and no description as many letters.
+# Largest number of values or characters in a message; no robot or description needs nearly as many.
 LARGEST = 65536
 
 
 class Kind(IntEnum):
-    """What a message says; → from the robot to the controller, ← from the controller to the robot."""
+    """The kind of a message; → from the robot to the controller, ← from the controller to the robot."""
 
     HELLO = 1        # → the robot's description as JSON; the robot asks for a run
     START = 2        # ← {"seed": …} as JSON; reset and send measurement 0 of this run
-    REFUSE = 3       # ← why not, as text; status BUSY: ask again later
+    REFUSE = 3       # ← the reason as text; status BUSY: ask again later
     MEASUREMENT = 4  # → the observation, with the robot's time stamp
-    COMMAND = 5      # ← the input, for the measurement of the same number, with the solve time
-    END = 6          # ↔ this run is over, as text why, status OK as intended; the robot applies its safe input
+    COMMAND = 5      # ← the input for the measurement with the same number, and the solve time
+    END = 6          # ↔ this run is over; text: the reason; status OK: as intended; the robot applies its safe input
 
 
 class Code(IntEnum):
-    """The status of a COMMAND, REFUSE or END; those from 3 on are the fallbacks of `ssmr_torch.status.Status`."""
+    """The status of a COMMAND, REFUSE or END. Those from 3 on are the fallbacks of `ssmr_torch.status.Status`."""
 
     OK = 0
     HELD = 1
@@ -62,16 +62,16 @@ _TEXTS = (Kind.HELLO, Kind.START, Kind.REFUSE, Kind.END)
 
 
 class Malformed(ValueError):
-    """Bytes that are no message of this version."""
+    """Bytes that are not a message of this version."""
 
 
 @dataclass(frozen=True, eq=False)
 class Message:
     """One message.
 
-    run: which run it belongs to, chosen by the controller in START.   sequence: number of the sample, from 0.
-    time: s; of a measurement the robot's own clock, of a command the solve time.   values: float64, (p,) m of a
-    measurement, (m,) of a command.   text: of the other kinds.
+    run: number of the run, chosen by the controller in START.   sequence: number of the sample, from 0.
+    time: s; the robot's own clock in a measurement, the solve time in a command.   values: float64, (p,) m in a
+    measurement, (m,) in a command.   text: of the other kinds.
     """
 
     kind: Kind
@@ -93,9 +93,9 @@ class Message:
 
 
 def unpack(data: bytes) -> Message:
-    """Read a message. Raises Malformed for anything that is none of this version; values may be NaN, times not."""
+    """Read a message. Raises Malformed for bytes that are no message of this version. Values may be NaN, times not."""
     if len(data) < HEADER.size:
-        raise Malformed(f"a message of {len(data)} bytes; expected a header of {HEADER.size}")
+        raise Malformed(f"a message of {len(data)} bytes; expected at least the header of {HEADER.size} bytes")
     magic, version, number, status, run, count, sequence, time = HEADER.unpack_from(data)
     if magic != MAGIC or version != VERSION:
         raise Malformed(f"a message that begins with {magic!r}, version {version}; "
@@ -105,7 +105,7 @@ def unpack(data: bytes) -> Message:
     kind = Kind(number)
     expected = HEADER.size + count * (1 if kind in _TEXTS else 8)
     if count > LARGEST or len(data) != expected:
-        raise Malformed(f"a {kind.name} of {len(data)} bytes that announces {count} items; expected {expected} bytes")
+        raise Malformed(f"a {kind.name} of {len(data)} bytes with a count of {count}; expected {expected} bytes")
     if not np.isfinite(time):
         raise Malformed(f"a {kind.name} with the time {time}; expected a finite number of s")
     if kind in _TEXTS:
@@ -119,10 +119,10 @@ def unpack(data: bytes) -> Message:
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """What a robot says of itself in its HELLO; the names are those of a `Plant`.
+    """What a robot says of itself in its HELLO. The names are those of a `Plant`.
 
-    timestep: s, between two measurements.   rest: (p,) m.   input_bounds: (2, m).   real_time: whether time goes on
-    without a command; if not, the robot waits for every one (lock-step).
+    timestep: s, between two measurements.   rest: (p,) m.   input_bounds: (2, m).   real_time: True: time goes on
+    without a command; False: the robot waits for every command (lock-step).
     Raises ValueError when sizes disagree or a number is not finite.
     """
 
@@ -152,7 +152,7 @@ class RobotDescription:
         if not (isinstance(self.timestep, (int, float)) and np.isfinite(self.timestep) and self.timestep > 0):
             raise ValueError(f"the robot's timestep is {self.timestep!r}; expected a positive number of s")
         if self.length_unit != "m":
-            raise ValueError(f"the robot measures in {self.length_unit!r}, the controller in 'm'; "
+            raise ValueError(f"the robot measures in {self.length_unit!r}; expected 'm', as in the controller: "
                              "convert the observation and rest to m")
 
     @classmethod
@@ -169,24 +169,24 @@ class RobotDescription:
 
 
 def read_description(text: str) -> RobotDescription:
-    """The description in a HELLO. Raises ValueError that says what is wrong with it."""
+    """The description in a HELLO. Raises ValueError, with the reason, where it cannot be read."""
     content = _object(text, "a HELLO")
     known = {part.name for part in fields(RobotDescription)}
     needed = {"name", "output_names", "input_names", "timestep", "rest", "input_bounds"}
     if not needed <= content.keys() <= known:
-        raise ValueError(f"a HELLO with the keys {sorted(content)}; expected {sorted(needed)} and no others but "
+        raise ValueError(f"a HELLO has the keys {sorted(content)}; expected {sorted(needed)}, and perhaps "
                          f"{sorted(known - needed)}")
     try:
         return RobotDescription(**content)
     except TypeError as error:
-        raise ValueError(f"a HELLO that cannot be read: {error}") from error
+        raise ValueError(f"a HELLO cannot be read: {error}") from error
 
 
 def read_start(text: str) -> int | None:
     """The seed in a START. Raises ValueError for another text."""
     seed = _object(text, "a START").get("seed")
     if seed is not None and not (isinstance(seed, int) and seed >= 0):
-        raise ValueError(f"a START with the seed {seed!r}; expected a whole number of 0 or more, or null")
+        raise ValueError(f"a START has the seed {seed!r}; expected a whole number of 0 or more, or null")
     return seed
 
 
@@ -194,7 +194,7 @@ def _object(text: str, what: str) -> dict:
     try:
         content = json.loads(text)
     except json.JSONDecodeError as error:
-        raise ValueError(f"{what} whose text is not JSON: {error}") from error
+        raise ValueError(f"the text of {what} is not JSON: {error}") from error
     if not isinstance(content, dict):
-        raise ValueError(f"{what} that is not a JSON object but {type(content).__name__}")
+        raise ValueError(f"the text of {what} is a JSON {type(content).__name__}; expected a JSON object")
     return content

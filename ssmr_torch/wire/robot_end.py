@@ -1,4 +1,4 @@
-"""The robot's end of the wire: any plant, steered by a controller elsewhere."""
+"""The robot's end of the wire: it connects any plant to a controller on another computer or in another process."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotDescri
 
 log = logging.getLogger(__name__)
 
-# s between two HELLOs, and in lock-step between two sendings of a measurement that is not answered.
+# s between two HELLOs; in lock-step also between two copies of an unanswered measurement.
 AGAIN = 0.5
 
 
 class RobotEnd:
     """Sends a plant's measurements to a controller and applies its commands.
 
-    link: a `RobotLink`.   real_time: whether the plant is stepped by the clock, one timestep a time, or waits for every
-    command (lock-step, for simulations).
-    timeout: s without a command after which, in real time, the controller is taken for dead.   patience: the same in
-    lock-step.   answer_within: share of a timestep in which a command must come in real time. Without it the newest
-    input is held; a command that comes later, yet within the timestep, is the newest from the next step on.
-    safe_input: (m,), applied without a controller; default the admissible input nearest to zero.
+    link: a `RobotLink`.   real_time: True: the plant is stepped by the clock, one timestep at a time; False: it waits
+    for every command (lock-step, for simulations).
+    timeout: s without a command after which, in real time, the controller counts as dead.   patience: the same in
+    lock-step.   answer_within: share of a timestep in which a command must come in real time. If none comes, the last
+    input is held; a command that comes later in the timestep is used from the next step on.
+    safe_input: (m,), applied without a controller; default: the admissible input nearest to zero.
     clock: s, never goes back.
-    counts: late, repeated, malformed and foreign messages; missed answers; overruns, steps that took longer than the
-    timestep; lost_controllers; busy controllers met.
+    counts: late, repeated, malformed and foreign messages; missed answers; overruns (steps that took longer than the
+    timestep); lost_controllers; busy controllers.
     Raises ValueError for settings out of range.
     """
 
@@ -36,7 +36,7 @@ class RobotEnd:
                  answer_within: float = 0.5, safe_input=None, clock: Callable[[], float] = monotonic):
         if not (timeout > 0 and patience > 0 and 0 < answer_within <= 1):
             raise ValueError(f"timeout is {timeout} s, patience {patience} s and answer_within {answer_within}; "
-                             "expected two positive times and a share of a timestep, 1 at most")
+                             "expected a positive timeout and patience, and a share of a timestep, 1 at most")
         self.plant, self.link, self.clock, self.real_time = plant, link, clock, bool(real_time)
         self.description = RobotDescription.of(plant, real_time)
         self.timeout, self.patience, self.answer_within = float(timeout), float(patience), float(answer_within)
@@ -48,11 +48,11 @@ class RobotEnd:
         self._input, self._heard = self.safe_input, clock()
 
     def drive(self, runs: int | None = 1, wait: float | None = None) -> None:
-        """Take part in `runs` runs that a controller ends (None: for ever); one that dies is waited for anew.
+        """Take part in `runs` runs, which a controller ends (None: for ever). If one dies, wait for another.
 
-        wait: s to wait for a controller each time, None for ever.
-        Raises TimeoutError when no controller came, ConnectionError when one refused this robot, saying why. However
-        it ends, the safe input is applied and the controller told.
+        wait: s to wait for a controller each time; None: for ever.
+        Raises TimeoutError when no controller came, and ConnectionError, with the reason, when one refused this robot.
+        At the end, also after an error, the safe input is applied and the controller is informed.
         """
         done, started = 0, False
         try:
@@ -75,7 +75,7 @@ class RobotEnd:
                 self.plant.step(self.safe_input)
 
     def _await_start(self, wait: float | None) -> None:
-        """Say HELLO until a START is raised; in real time the plant goes on under the safe input."""
+        """Send HELLO until a START raises _Started; in real time the plant goes on under the safe input."""
         begun = hello = tick = self.clock()
         while wait is None or self.clock() - begun <= wait:
             if self.clock() >= hello:
@@ -121,15 +121,15 @@ class RobotEnd:
         return None
 
     def _pace(self, tick: float) -> float:
-        """Wait for the next tick, and return when it was."""
+        """Wait for the next tick. Returns its time."""
         late = self.clock() - tick
         if late > 0:
             self.counts["overruns"] += 1
-            # Less than a step behind is caught up with; more would be a burst of hurried steps.
+            # A delay of less than a step is caught up. After a longer one, many steps would follow each other at once.
             return tick if late < self.description.timestep else self.clock()
         while self.clock() < tick:
             if self._listen(tick) is not None:
-                # Too late to act from the beginning of this step on, yet newer than what would be held in the next.
+                # Too late for this step, but newer than the input that would be held in the next step.
                 self.counts["late"] += 1
         return tick
 
@@ -173,7 +173,7 @@ class RobotEnd:
         if message.run != self._run:
             self.counts["foreign"] += 1
         elif message.values.shape != self.safe_input.shape or not np.isfinite(message.values).all():
-            raise Malformed(f"a COMMAND of the input {message.values.tolist()}; expected {len(self.safe_input)} "
+            raise Malformed(f"a COMMAND has the input {message.values.tolist()}; expected {len(self.safe_input)} "
                             "finite numbers")
         elif message.sequence == self._answered:
             self.counts["repeated"] += 1
@@ -190,7 +190,7 @@ class _Started(Exception):
 
 
 class _Over(Exception):
-    """The run is over, ended by the controller or with it."""
+    """The run is over: the controller ended it, or is gone."""
 
     def __init__(self, finished: bool):
         super().__init__()

@@ -2,10 +2,10 @@
 
     python -m ssmr_torch.wire.runner ARTIFACT --settings FILE
 
-Without settings it is the controller that ssmr design put into the artifact, with the task of the design. The settings
-are JSON: `controller` and `task`, each with the class or function under `_target_` and its arguments.
-ssmr serve-controller writes them to settings.json. Without a `controller` it is the artifact's. Needs numpy, numba,
-safetensors, proxsuite and pyzmq.
+Without settings it runs the controller that ssmr design stored in the artifact, with the task of the design. The
+settings are JSON: `controller` and `task`, each with its class or function under `_target_`, and with its arguments.
+Without `controller` they use that of the artifact. ssmr serve-controller writes such a file, settings.json. The runner
+needs numpy, numba, safetensors, proxsuite and pyzmq.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ DEFAULT = {"controller": {"_target_": "ssmr_torch.control.mpc.ModelPredictiveCon
 
 
 def made_of(loaded: artifact.Artifact, target: str):
-    """What a controller of this `_target_` is made of: the whole artifact where it carries it, else the model."""
+    """The first argument of a controller with this `_target_`: the artifact if it stores one, else its model."""
     return loaded if target == DESIGNED["_target_"] else loaded.model
 
 
 def controller_for(loaded: artifact.Artifact, make: Callable, rest_tolerance: float = REST_TOLERANCE) -> Callable:
-    """What a `ControllerEnd` builds controllers with: RobotDescription → controller, the same one for the same robot.
+    """The `build` of a `ControllerEnd`: RobotDescription → controller; the same robot gets the same controller again.
 
-    make(model, input_bounds, timestep=…, output_names=…) → controller, which itself refuses a timestep that does not
-    fit.   rest_tolerance: m.   Raises ValueError for a robot that the model was not trained on, saying both sides.
+    make(model, input_bounds, timestep=…, output_names=…) → controller; it refuses a wrong timestep itself.
+    rest_tolerance: m.   Raises ValueError, with both sides, for a robot that the model was not trained on.
     """
     known, rest_tolerance = {}, non_negative("rest_tolerance", rest_tolerance, "m")
 
@@ -51,9 +51,9 @@ def controller_for(loaded: artifact.Artifact, make: Callable, rest_tolerance: fl
         artifact.check_source(loaded, robot)
         trained = np.array(loaded.card["rest"])
         if trained.shape != robot.rest.shape or np.abs(trained - robot.rest).max() > rest_tolerance:
-            raise ValueError(f"the model was trained with the rest {trained.tolist()} m, the robot's is "
-                             f"{robot.rest.tolist()} m, and {1e3 * rest_tolerance:g} mm are allowed; "
-                             "measure from the same origin, or raise rest_tolerance")
+            raise ValueError(f"the model was trained with the rest {trained.tolist()} m, but the robot's rest is "
+                             f"{robot.rest.tolist()} m; at most {1e3 * rest_tolerance:g} mm of difference is allowed. "
+                             "Measure from the same origin, or raise rest_tolerance")
         key = robot.timestep, robot.input_bounds.tobytes()
         if key not in known:
             known[key] = make(loaded.model, robot.input_bounds, timestep=robot.timestep,
@@ -64,7 +64,8 @@ def controller_for(loaded: artifact.Artifact, make: Callable, rest_tolerance: fl
 
 
 def prepare(loaded: artifact.Artifact, build: Callable) -> None:
-    """Build the controller for a robot like that of the training, so that the first one need not wait for compilers."""
+    """Build the controller for a robot like that of the training, so that the first robot does not wait for compilers.
+    """
     from ssmr_torch.wire.messages import RobotDescription
 
     card = loaded.card
@@ -72,11 +73,12 @@ def prepare(loaded: artifact.Artifact, build: Callable) -> None:
         build(RobotDescription("as trained", card["output_names"], card["input_names"], loaded.model.window_timestep,
                                card["rest"], card["input_range"], card["units"]["input"]))
     except ValueError as error:
-        log.warning("no controller for a robot like that of the training: %s; perhaps the one that comes fits", error)
+        log.warning("no controller could be built for a robot like that of the training: %s; another robot may fit",
+                    error)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The command line; returns the exit status. Bad input ends in one message."""
+    """The command line. Returns the exit status; wrong input ends with one message."""
     options = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     if options.print_settings:
@@ -101,7 +103,7 @@ def _serve(options) -> None:
     from ssmr_torch.wire.serving import serve
 
     if options.artifact is None:
-        raise ValueError("give the directory of an artifact, such as ssmr export writes")
+        raise ValueError("the artifact is missing; give its directory, as ssmr export writes it")
     loaded, settings = artifact.load(options.artifact), _settings(options.settings)
     chosen = settings.get("controller") or DESIGNED
     if settings.get("task"):
@@ -128,25 +130,25 @@ def _settings(path: str | None) -> dict:
     except json.JSONDecodeError as error:
         raise ValueError(f"{path} is not JSON ({error}); --print-settings shows what is expected") from error
     if not isinstance(settings, dict) or not settings or not settings.keys() <= DEFAULT.keys():
-        raise ValueError(f"{path} must be a JSON object with {' and '.join(DEFAULT)}, or one of them; --print-settings "
-                         "shows one")
+        raise ValueError(f"{path} is not a JSON object with {' and '.join(DEFAULT)}, or one of them; --print-settings "
+                         "shows an example")
     return settings
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m ssmr_torch.wire.runner", description=__doc__.splitlines()[0])
     parser.add_argument("artifact", nargs="?", help="directory of the artifact")
-    parser.add_argument("--settings", help="JSON file with controller and task; what it does not name is the "
-                        "artifact's, of ssmr design")
-    parser.add_argument("--print-settings", action="store_true", help="print settings with all defaults and end")
-    parser.add_argument("--package", action="append", default=[], metavar="NAME", help="package of your own whose "
-                        "controllers, observers, tasks and solvers the settings may name; may be repeated")
+    parser.add_argument("--settings", help="JSON file with controller and task; what is missing in it is taken from "
+                        "the artifact, where ssmr design stored it")
+    parser.add_argument("--print-settings", action="store_true", help="print the settings with all defaults, and exit")
+    parser.add_argument("--package", action="append", default=[], metavar="NAME", help="your own package with "
+                        "controllers, observers, tasks or solvers for the settings; may be repeated")
     parser.add_argument("--bind", default="tcp://*:5555", help="address to wait at (default %(default)s)")
-    parser.add_argument("--runs", type=int, default=None, help="end after so many runs (default: never)")
+    parser.add_argument("--runs", type=int, default=None, help="number of runs after which to exit (default: no limit)")
     parser.add_argument("--deadline", type=float, default=None,
-                        help="s after a measurement was due when it is missing (default: half a timestep)")
-    parser.add_argument("--timeout", type=float, default=0.5, help="s of silence of a real-time robot that is gone")
-    parser.add_argument("--patience", type=float, default=60.0, help="s of silence of a lock-step robot that is gone")
+                        help="s after its due time, when a measurement counts as missing (default: half a timestep)")
+    parser.add_argument("--timeout", type=float, default=0.5, help="s of silence until a real-time robot is gone")
+    parser.add_argument("--patience", type=float, default=60.0, help="s of silence until a lock-step robot is gone")
     parser.add_argument("--rest-tolerance", type=float, default=REST_TOLERANCE, help="m (default %(default)s)")
     return parser
 

@@ -1,4 +1,4 @@
-"""The measurements of one run in their order, whatever the wire does to them."""
+"""Puts the measurements of one run in order, although messages may be lost, late, repeated or reordered."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ import numpy as np
 
 from ssmr_torch.wire.messages import Message
 
-# Two time stamps are irregular when they are further than this share from where their numbers put them.
+# A time stamp is irregular when it differs by more than this share of a timestep from the time of its number.
 IRREGULAR = 0.5
 
 
 class Place(Enum):
-    """Where a measurement belongs."""
+    """The place of a measurement in the run."""
 
-    NEXT = "the one expected, or a later one"
-    AGAIN = "the newest once more: answer it once more"
+    NEXT = "the expected one, or a later one"
+    AGAIN = "the newest one once more: answer it once more"
     PAST = "its place is taken"
-    INVALID = "no measurement of this robot"
+    INVALID = "not a measurement of this robot"
     BEYOND = "so far ahead that too many are missing"
 
 
 class MeasurementStream:
-    """Judges the measurements of a run and counts what is wrong with them.
+    """Judges the measurements of a run and counts their faults.
 
-    outputs: p.   timestep: s.   patience: how many samples in a row may be missing.   counts: where malformed,
+    outputs: p.   timestep: s.   patience: how many samples in a row may be missing.   counts: counts the malformed,
     not_finite, irregular, missing, late (came after the next one was due), reordered (came after a newer one) and
-    repeated measurements are counted.   next: number of the sample to come.   begun: whether a measurement has come.
-    A sample's number gives its time, number × timestep. Stamps, of which only differences mean anything, must grow.
+    repeated measurements.   next: number of the next sample.   begun: whether a measurement has come.
+    The number of a sample gives its time, number × timestep. Only differences of time stamps are used; they must grow.
     """
 
     def __init__(self, outputs: int, timestep: float, patience: int, counts: Counter):
@@ -43,7 +43,7 @@ class MeasurementStream:
         return self._newest >= 0
 
     def place(self, message: Message) -> Place:
-        """Judge a MEASUREMENT of this run."""
+        """The place of a MEASUREMENT of this run."""
         if message.values.shape != (self.outputs,):
             self.counts["malformed"] += 1
             return Place.INVALID
@@ -55,7 +55,7 @@ class MeasurementStream:
         return Place.BEYOND if message.sequence - self.next > self.patience else Place.NEXT
 
     def skip(self) -> float:
-        """Go on without the next measurement; its time, s."""
+        """Continue without the next measurement; returns its time, s."""
         self.counts["missing"] += 1
         self._missed.add(self.next)
         self._missed.discard(self.next - 4 * self.patience)

@@ -23,7 +23,7 @@ def push(plant, u, steps):
         plant.step(np.array(u))
 
 
-def test_within_the_limits_a_guarded_robot_is_the_robot(guard, robot):
+def test_within_the_limits_a_guarded_robot_behaves_like_the_robot(guard, robot):
     watched, bare = guard(robot()), robot()
     inputs = np.random.default_rng(0).uniform(-0.3, 0.3, (200, 2))
     seen = [watched.reset(3), *map(watched.step, inputs)]
@@ -51,7 +51,7 @@ def test_beyond_a_limit_the_input_goes_back_by_a_ramp_and_the_robot_steps_no_mor
     watched.step(np.zeros(2))
 
 
-def test_a_single_wrong_sample_stops_nothing_and_lost_ones_look_like_no_speed(guard, robot):
+def test_a_single_wrong_sample_does_not_stop_and_lost_samples_do_not_look_like_speed(guard, robot):
     class Outlier(robot):
         def _seen(self):
             return np.full(3, 1.0) if self._k == 50 else super()._seen()
@@ -70,7 +70,7 @@ def test_without_measurements_it_stops_after_the_blind_limit(guard, robot):
     np.testing.assert_array_equal(run.observation[30:], np.tile(run.observation[29], (run.length - 30, 1)))
 
 
-def test_recordings_hold_a_missing_sample_and_begin_with_one_that_came(guard, robot):
+def test_recordings_repeat_the_last_value_for_a_missing_sample_and_begin_with_a_measured_one(guard, robot):
     watched = guard(robot(lost=(0, 1, 20, 21), noise=1e-5), more={"bridged": True})
     first = watched.reset(0)
     seen = [watched.step(np.array([0.2, 0.2])) for _ in range(40)]
@@ -87,7 +87,7 @@ def test_a_frozen_sensor_stops_a_moving_robot_that_is_known_to_be_noisy(guard, r
             return np.full(3, 1e-3)
 
     push(guard(Frozen()), [0.2, 0.2], 100)
-    with pytest.raises(SafetyStop, match="the same to the last bit"):
+    with pytest.raises(SafetyStop, match="exactly the same values"):
         push(guard(Frozen(), more={"noisy": True}), [0.2, 0.2], 100)
     push(guard(Frozen(), more={"noisy": True}), [0.0, 0.0], 100)  # at rest nothing has to change
 

@@ -131,7 +131,7 @@ def test_too_many_missing_measurements_end_the_run(paced, echo):
 
 @pytest.mark.parametrize("change", [{"values": [1.0]}, {"values": [1.0, 2.0, 3.0]}, {"stamp": 50.0},
                                     {"stamp": 49.0}], ids=["too short", "too long", "same stamp", "earlier stamp"])
-def test_a_measurement_that_cannot_be_is_dropped_and_counted(paced, echo, change):
+def test_an_impossible_measurement_is_dropped_and_counted(paced, echo, change):
     assert paced.measure(1, at=H, **change) == []
     assert paced.end.counts == {"malformed": 1} and len(echo.seen) == 1
     answer, = paced.measure(1, at=1.1 * H)
@@ -140,12 +140,12 @@ def test_a_measurement_that_cannot_be_is_dropped_and_counted(paced, echo, change
 
 @pytest.mark.parametrize("data", [b"", b"hello", b"\0" * 32, Message(Kind.START).pack(), Message(Kind.COMMAND).pack(),
                                   Message(Kind.MEASUREMENT).pack()[:-1]])
-def test_bytes_that_are_no_message_of_a_robot_are_dropped_and_counted(paced, data):
+def test_bytes_that_are_not_a_message_of_a_robot_are_dropped_and_counted(paced, data):
     assert paced.end.receive(paced.peer, data, H) == [] and paced.end.counts == {"malformed": 1}
     assert paced.end.running
 
 
-def test_a_measurement_with_a_number_that_is_none_is_answered_at_once_as_missing(paced, echo):
+def test_a_measurement_with_nan_is_answered_at_once_as_missing(paced, echo):
     answer, = paced.measure(1, at=H, values=[0.3, np.nan])
     assert answer.status == Code.MISSED and np.isnan(echo.seen[-1][1]).all()
     assert paced.end.counts == {"not_finite": 1}
@@ -171,7 +171,7 @@ def test_a_dead_robot_in_real_time_resets_the_controller_which_then_takes_the_ne
     assert paced.end.running
 
 
-def test_a_robot_in_lock_step_has_all_its_patience(end, hello):
+def test_a_robot_in_lock_step_is_waited_for_until_its_patience_ends(end, hello):
     talk = Talk(end, hello())
     talk.measure(0, at=0.0)
     assert talk.tick(9.9) == [] and end.due() == 10.0
@@ -179,7 +179,7 @@ def test_a_robot_in_lock_step_has_all_its_patience(end, hello):
     assert goodbye.kind is Kind.END and not end.running
 
 
-def test_a_message_of_another_run_is_told_so(paced, echo):
+def test_a_message_of_another_run_gets_a_reply_that_says_so(paced, echo):
     goodbye, = paced.measure(1, at=H, run=paced.run + 1)
     assert (goodbye.kind, goodbye.run, goodbye.status) == (Kind.END, paced.run + 1, Code.OTHER)
     assert "HELLO" in goodbye.text and paced.end.counts == {"foreign": 1} and len(echo.seen) == 1
@@ -239,13 +239,13 @@ def test_the_last_plan_goes_on_where_measurements_are_missing_and_then_the_safe_
 
 
 def test_settings_out_of_range_are_refused():
-    with pytest.raises(ValueError, match="two positive times"):
+    with pytest.raises(ValueError, match="positive timeout and patience"):
         ControllerEnd(Echo, timeout=0.0)
     with pytest.raises(ValueError, match="deadline is -1"):
         ControllerEnd(Echo, deadline=-1)
 
 
-def test_a_command_says_what_it_is():
+def test_the_status_of_a_command_tells_its_kind():
     assert code_of(Command(np.zeros(1))) is Code.OK
     assert code_of(Command(np.zeros(1), held=True)) is Code.HELD
     assert code_of(Command(np.zeros(1), fallback=Status.OUT_OF_RANGE)) is Code.OUT_OF_RANGE

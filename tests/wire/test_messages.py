@@ -34,7 +34,7 @@ def test_a_measurement_is_a_header_of_32_bytes_and_little_endian_numbers():
     Message(Kind.REFUSE, status=Code.BUSY, text="busy"), Message(Kind.MEASUREMENT, 5, 3, 0.03, values=np.arange(6.0)),
     Message(Kind.COMMAND, 5, 3, 1e-3, Code.MISSED, np.array([0.1, 0.2, 0.3, 0.4])),
 ], ids=lambda message: message.kind.name)
-def test_a_message_survives_the_wire(message):
+def test_a_message_is_the_same_after_packing_and_unpacking(message):
     read = unpack(message.pack())
     for name in ("kind", "run", "sequence", "time", "status", "text"):
         assert getattr(read, name) == getattr(message, name)
@@ -45,18 +45,18 @@ GOOD = Message(Kind.MEASUREMENT, 1, 2, 3.0, values=np.ones(2)).pack()
 
 
 @pytest.mark.parametrize(("data", "what"), [
-    (b"", "0 bytes; expected a header of 32"),
+    (b"", "0 bytes; expected at least the header of 32"),
     (GOOD[:31], "31 bytes"),
-    (GOOD[:-1], "announces 2 items; expected 48 bytes"),
+    (GOOD[:-1], "count of 2; expected 48 bytes"),
     (GOOD + b"\0" * 8, "expected 48 bytes"),
     (b"HTTP" + GOOD[4:], "expected b'SSMR'"),
     (GOOD[:4] + b"\2" + GOOD[5:], "version 2; expected b'SSMR', version 1"),
     (GOOD[:5] + b"\x63" + GOOD[6:], "kind 99"),
-    (GOOD[:12] + b"\xff\xff\xff\xff" + GOOD[16:], "4294967295 items"),
+    (GOOD[:12] + b"\xff\xff\xff\xff" + GOOD[16:], "a count of 4294967295"),
     (Message(Kind.MEASUREMENT, time=np.nan).pack(), "finite number of s"),
     (HEADER.pack(b"SSMR", 1, Kind.HELLO, 0, 0, 1, 0, 0.0) + b"\xff", "not UTF-8"),
 ])
-def test_what_is_no_message_is_refused(data, what):
+def test_bytes_that_are_not_a_message_are_refused(data, what):
     with pytest.raises(Malformed, match=what.replace("(", r"\(")):
         unpack(data)
 
@@ -70,7 +70,7 @@ def test_a_code_is_never_used_twice():
     assert len(set(Code)) == len(Code.__members__)
 
 
-def test_a_robots_description_survives_the_wire(integrator):
+def test_a_robots_description_is_the_same_after_the_wire(integrator):
     description = RobotDescription.of(integrator, real_time=True)
     read = read_description(description.text)
     assert read.text == description.text and read.real_time and read.output_names == ("x", "y")
@@ -80,10 +80,10 @@ def test_a_robots_description_survives_the_wire(integrator):
 @pytest.mark.parametrize(("change", "what"), [
     ({"rest": [0.0]}, "a rest of shape"), ({"rest": [0.0, "left"]}, "could not convert"),
     ({"input_bounds": [[1, 1], [0, 0]]}, "the lowest below the highest"), ({"timestep": 0}, "positive number of s"),
-    ({"timestep": "fast"}, "positive number of s"), ({"length_unit": "mm"}, "measures in 'mm', the controller in 'm'"),
+    ({"timestep": "fast"}, "positive number of s"), ({"length_unit": "mm"}, "measures in 'mm'; expected 'm'"),
     ({"rest": [0.0, float("nan")]}, "finite"), ({"colour": "red"}, "the keys"),
 ])
-def test_a_description_that_cannot_be_is_refused(integrator, change, what):
+def test_an_impossible_description_is_refused(integrator, change, what):
     content = json.loads(RobotDescription.of(integrator).text) | change
     with pytest.raises(ValueError, match=what):
         read_description(json.dumps(content))

@@ -85,7 +85,7 @@ def test_a_remote_plant_gives_the_record_of_one_process_up_to_rounding(plant, bu
     assert not elsewhere.counts
 
 
-def test_a_remote_plant_keeps_the_promises_of_plants(integrator, background):
+def test_a_remote_plant_behaves_like_any_plant(integrator, background):
     elsewhere, robot = remote(integrator, background)
     np.testing.assert_array_equal(elsewhere.step([5.0, -5.0]), [1e-3, 0.0])
     for spoiled in ([1.0], [np.nan, 1.0]):
@@ -136,7 +136,7 @@ def blind_once(link, plant):
             send(1, 2, 2, 4)
 
 
-def test_a_remote_plant_in_real_time_is_blind_where_measurements_are_missing(integrator, background):
+def test_a_remote_plant_in_real_time_gives_nan_where_measurements_are_missing(integrator, background):
     integrator.timestep = 1.0  # as time for this machine to find its way between the two ends
 
     class Waiting(RemotePlant):
@@ -158,7 +158,7 @@ def test_a_remote_plant_in_real_time_is_blind_where_measurements_are_missing(int
     elsewhere.link.close()
 
 
-def test_a_controller_that_is_started_again_finds_the_robot_and_begins_anew(build, plant, task, background):
+def test_a_restarted_controller_finds_the_robot_and_begins_a_new_run(build, plant, task, background):
     """The first controller vanishes without a word after three answers; the second has the same address.
 
     The robot learns it by its own patience, or from the second controller, which does not know its run.
@@ -199,7 +199,7 @@ class Constant:
         return Command(np.array([0.4, 0.6]))
 
 
-def test_in_real_time_a_whole_task_goes_over_the_wire_whatever_the_machine_is_busy_with(links, integrator, background):
+def test_in_real_time_a_whole_task_runs_over_the_wire_under_other_load(links, integrator, background):
     end = ControllerEnd(lambda robot: Constant(), duration=0.3, timeout=20.0)
     robot = RobotEnd(integrator, links[1], real_time=True, timeout=20.0)
     other = background(robot.drive, 1, wait=20.0)

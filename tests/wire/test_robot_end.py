@@ -64,7 +64,7 @@ def test_a_repeated_command_is_applied_once_and_counted(fake_robot, integrator):
     assert robot.counts == {"repeated": 5} and [tuple(u) for u in integrator.applied].count((0.4, 0.6)) == 5
 
 
-def test_a_command_within_its_step_but_too_late_for_it_is_held_where_the_next_does_not_come(fake_robot, integrator):
+def test_a_late_command_is_used_in_the_next_step_if_no_newer_one_comes(fake_robot, integrator):
     delays = {2: 8e-3, 3: 30e-3}
 
     def say(message):
@@ -177,7 +177,7 @@ def test_a_busy_controller_is_asked_again(fake_robot, integrator):
     assert robot.counts == {"busy": 2} and len(asked) == 3
 
 
-def test_a_start_in_the_midst_of_a_run_begins_another_one(fake_robot, integrator):
+def test_a_start_during_a_run_begins_another_one(fake_robot, integrator):
     def say(message):
         return [(1e-3, Message(Kind.START, RUN + 1, text='{"seed": 8}') if (message.run, message.sequence) == (RUN, 2)
                  else command(message))]
@@ -200,7 +200,7 @@ def test_an_end_of_another_run_is_ignored(fake_robot, integrator):
     assert len(integrator.applied) == 6
 
 
-def test_a_step_that_takes_too_long_is_counted_and_not_made_up_for_by_hurry(fake_robot, integrator):
+def test_a_step_that_takes_too_long_is_counted_and_not_caught_up(fake_robot, integrator):
     robot, link = fake_robot(controller(), integrator, real_time=True)
     step = integrator.step
 

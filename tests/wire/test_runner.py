@@ -108,12 +108,12 @@ def test_the_runner_uses_the_controller_that_the_artifact_carries(by_hand, bench
 
 
 @pytest.mark.parametrize("tolerance", [float("nan"), -1e-3])
-def test_a_tolerance_that_no_number_is_within_is_refused(shipped, tolerance):
+def test_an_impossible_rest_tolerance_is_refused(shipped, tolerance):
     with pytest.raises(ValueError, match="rest_tolerance is .* m; expected a finite number, 0 or more"):
         runner.controller_for(artifact.load(shipped), lambda *_, **__: None, rest_tolerance=tolerance)
 
 
-def test_the_default_settings_can_be_had_and_built(capsys):
+def test_the_default_settings_can_be_printed_and_built(capsys):
     assert runner.main(["--print-settings"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert all(printed[part] | chosen == printed[part] for part, chosen in runner.DEFAULT.items())
@@ -131,17 +131,17 @@ def test_the_default_settings_can_be_had_and_built(capsys):
     ({"_target_": "ssmr_torch.tasks.nothing.triangle"}, "cannot load"),
     ({"_target_": "ssmr_torch.tasks.references.circle", "radius": 1.0}, "not accept the arguments {'radius': 1.0}"),
 ])
-def test_settings_that_name_something_else_are_refused(settings, what):
+def test_settings_with_a_wrong_class_or_argument_are_refused(settings, what):
     with pytest.raises(ValueError, match=what):
         runner.build(settings)
 
 
 @pytest.mark.parametrize(("arguments", "what"), [
-    ([], "give the directory of an artifact"), (["nowhere"], "no artifact at nowhere"),
+    ([], "the artifact is missing; give its directory"), (["nowhere"], "no artifact at nowhere"),
     (["{shipped}", "--settings", "nowhere.json"], "nowhere.json"),
     (["{shipped}"], "the artifact has no designed controller; run ssmr design data.path=FILE.h5"),
     (["{shipped}", "--settings", "{settings}", "--bind", "nonsense"], "cannot wait at 'nonsense'"),
-    (["{shipped}", "--settings", "{settings}", "--timeout", "-1"], "two positive times"),
+    (["{shipped}", "--settings", "{settings}", "--timeout", "-1"], "positive timeout and patience"),
 ])
 def test_bad_input_ends_in_one_message(shipped, settings, arguments, what, capsys):
     assert runner.main([argument.format(shipped=shipped, settings=settings) for argument in arguments]) == 1
@@ -159,7 +159,7 @@ def test_a_letter_in_a_font_says_what_to_install_where_fonttools_is_missing(ship
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"other": {}}'])
-def test_a_settings_file_that_is_none_is_refused(shipped, tmp_path, text, capsys):
+def test_a_file_that_is_not_settings_is_refused(shipped, tmp_path, text, capsys):
     (tmp_path / "settings.json").write_text(text)
     assert runner.main([str(shipped), "--settings", str(tmp_path / "settings.json")]) == 1
     assert "--print-settings shows" in capsys.readouterr().err
@@ -175,11 +175,11 @@ class Mismatched:
 
 
 @pytest.mark.parametrize(("changes", "both"), [
-    ({"output_names": tuple("abcdef")}, ["'tip_x', 'tip_y'", "here they are ['a', 'b'"]),
-    ({"output_names": tuple("abc"), "rest": np.zeros(3)}, ["'mid_z']", "here they are ['a', 'b', 'c']"]),
-    ({"input_names": tuple("abcd")}, ["'cable_+x'", "here they are ['a', 'b', 'c', 'd']"]),
-    ({"input_unit": "bar"}, ["trained with input unit N", "here they are bar"]),
-    ({"rest": np.full(6, 0.3)}, ["trained with the rest [0.0, 0.0, 0.2", "robot's is [0.3, 0.3", "1 mm"]),
+    ({"output_names": tuple("abcdef")}, ["'tip_x', 'tip_y'", "but this robot or data has ['a', 'b'"]),
+    ({"output_names": tuple("abc"), "rest": np.zeros(3)}, ["'mid_z']", "but this robot or data has ['a', 'b', 'c']"]),
+    ({"input_names": tuple("abcd")}, ["'cable_+x'", "but this robot or data has ['a', 'b', 'c', 'd']"]),
+    ({"input_unit": "bar"}, ["trained with input unit N", "but this robot or data has bar"]),
+    ({"rest": np.full(6, 0.3)}, ["trained with the rest [0.0, 0.0, 0.2", "robot's rest is [0.3, 0.3", "1 mm"]),
     ({"timestep": 0.015}, ["0.02", "0.015"]),
 ], ids=["outputs", "dimension", "inputs", "unit", "rest", "timestep"])
 def test_a_robot_that_does_not_match_the_model_is_refused_with_both_sides(shipped, changes, both):
@@ -191,7 +191,7 @@ def test_a_robot_that_does_not_match_the_model_is_refused_with_both_sides(shippe
     assert all(part in str(refusal.value) for part in both), refusal.value
 
 
-def test_the_same_robot_gets_the_controller_that_is_there_already(shipped):
+def test_the_same_robot_gets_the_same_controller_again(shipped):
     task, made = runner.build(runner.DEFAULT["task"]), []
     build = runner.controller_for(artifact.load(shipped), lambda *given, **more: made.append(more) or object())
     robot = RobotDescription.of(SlowManifold())
@@ -201,7 +201,7 @@ def test_the_same_robot_gets_the_controller_that_is_there_already(shipped):
 
 
 @pytest.mark.slow
-def test_two_entry_points_give_the_ise_of_one_and_settings_for_the_runner(shipped, tmp_path):
+def test_two_commands_over_the_wire_give_the_ise_of_one_and_settings_for_the_runner(shipped, tmp_path):
     python = [sys.executable]
     same = [f"artifact={shipped}", "task.laps=1"]
     with process(*python, EXPERIMENTS / "serve_controller.py", *same, "bind=tcp://127.0.0.1:*", "hydra.run.dir=served",
@@ -215,7 +215,7 @@ def test_two_entry_points_give_the_ise_of_one_and_settings_for_the_runner(shippe
         done = subprocess.run([*python, EXPERIMENTS / "serve_plant.py", f"connect={address}", "wait=60",
                                "plant.observe=state", "hydra.run.dir=refused"], cwd=tmp_path, capture_output=True,
                               text=True, timeout=LIMIT)
-    assert "here they are ['q1'" in done.stderr and "Traceback" not in done.stderr and done.returncode != 0
+    assert "but this robot or data has ['q1'" in done.stderr and "Traceback" not in done.stderr and done.returncode != 0
     alone = subprocess.run([*python, EXPERIMENTS / "control.py", *same, "noise_std=0", "progress=false",
                             "hydra.run.dir=alone"], cwd=tmp_path, capture_output=True, text=True, timeout=LIMIT)
     assert alone.returncode == 0, alone.stderr
