@@ -12,7 +12,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from ssmr_torch import configuration, found_settings
+from ssmr_torch import configuration, found_settings, option_tables
 from ssmr_torch.closed_loop.rerun_view import RerunView
 from ssmr_torch.data.derivatives import Stencil
 from ssmr_torch.fitting.lightning_fit import ModelFit
@@ -30,7 +30,16 @@ CONF = Path(__file__).resolve().parents[1] / "conf"
 PRIMARY = sorted(path.stem for path in CONF.glob("*.yaml") if path.stem != "directories")
 
 
-group = configuration.options
+PAPER = (CONF.parent / "ssmr_torch" / "paper").is_dir()
+
+
+def group(name: str) -> list[str]:
+    """Options of a group; where paper/ was deleted, without those that build something of it."""
+    entries = option_tables.entries(CONF, name)
+    return [each for each in configuration.options(name)
+            if PAPER or not str(entries.get(each, {}).get("_target_")).startswith("ssmr_torch.paper.")]
+
+
 ROBOTS = sorted(path.stem for path in (CONF / "found").glob("*.yaml"))
 ROWS = [(robot, model) for robot in ROBOTS for model in group(f"row/found/{robot}")]
 FOUND_CONTROLLERS = [f"{robot}/{model}" for robot in ROBOTS for model in group(f"controller/{robot}")]
