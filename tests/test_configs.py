@@ -3,7 +3,6 @@
 import inspect
 from datetime import date
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from ssmr_torch import configuration, found_settings
+from ssmr_torch import configuration, found_settings, option_tables
 from ssmr_torch.closed_loop.rerun_view import RerunView
 from ssmr_torch.data.derivatives import Stencil
 from ssmr_torch.fitting.lightning_fit import ModelFit
@@ -31,13 +30,14 @@ CONF = Path(__file__).resolve().parents[1] / "conf"
 PRIMARY = sorted(path.stem for path in CONF.glob("*.yaml") if path.stem != "directories")
 
 
-# paper/ can be deleted, and its readers, its task and its executors with it.
-OF_THE_PAPER = {} if find_spec("ssmr_torch.paper") else {
-    "data": {"real_trunk", "real_diamond", "authors_simulated_trunk", "authors_simulated_diamond"}, "task": {"pacman"}}
+PAPER = (CONF.parent / "ssmr_torch" / "paper").is_dir()
 
 
 def group(name: str) -> list[str]:
-    return [option for option in configuration.options(name) if option not in OF_THE_PAPER.get(name, ())]
+    """Options of a group; where paper/ was deleted, without those that build something of it."""
+    entries = option_tables.entries(CONF, name)
+    return [each for each in configuration.options(name)
+            if PAPER or not str(entries.get(each, {}).get("_target_")).startswith("ssmr_torch.paper.")]
 
 
 ROBOTS = sorted(path.stem for path in (CONF / "found").glob("*.yaml"))

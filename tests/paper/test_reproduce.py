@@ -176,7 +176,7 @@ def test_a_failing_job_is_reported_and_missing_and_stops_no_other(whole, tmp_pat
 @pytest.mark.parametrize(("arguments", "message"), [
     (["figures=fig13"], "figures is 'fig13'; expected all or some of table1, fig3"),
     (["executor=submitit", "executor.cluster=moon"], "executor.cluster is 'moon'; expected slurm or local"),
-    (["preset.needs={nowhere: pip install nowhere}"], "nowhere is not installed: pip install nowhere"),
+    (["+preset.needs.nowhere='pip install nowhere'"], "nowhere is not installed: pip install nowhere"),
     (["recordings=nowhere"], "recordings=nowhere is no folder; expected the one with decays.mat"),
     (["preset.figures.fig7.robot=snake"], "no robot 'snake'; the settings have trunk, emulated_bench"),
 ])

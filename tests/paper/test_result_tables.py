@@ -7,7 +7,7 @@ import pytest
 
 from ssmr_torch.collection.excitation import SmoothRandom
 from ssmr_torch.models.predictors import Predictor
-from ssmr_torch.paper.result_rows import MODEL_COLUMNS, RUN_COLUMNS, model_row, note_of, run_row
+from ssmr_torch.paper.result_tables import MODEL_COLUMNS, RUN_COLUMNS, model_row, note_of, run_row
 from ssmr_torch.paper.workspace_errors import map_open_loop
 from ssmr_torch.trajectory import Trajectory
 
