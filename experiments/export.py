@@ -25,7 +25,7 @@ def main(config, directory):
 
 def model_of(config):
     """The model, and what its checkpoint or its published file says of it."""
-    from ssmr_torch.deployment.checkpoint_twin import load_twin
+    from ssmr_torch.deployment.checkpoint_copy import load_twin
 
     if config.mat is not None:
         return found(PUBLISHED)(config.mat, **{name: config[name] for name in OF_PUBLISHED})

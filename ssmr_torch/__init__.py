@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from ssmr_torch.data.arrays import trajectories
     from ssmr_torch.evaluation.score_table import score
     from ssmr_torch.face import check, load, read, simulate
-    from ssmr_torch.fitting.by_kind import fit
     from ssmr_torch.fitting.compare_models import compare
+    from ssmr_torch.fitting.fit import fit
     from ssmr_torch.trained_model import TrainedModel
     from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
@@ -47,7 +47,7 @@ __all__ = ["ClosedLoopRecord", "ModelPredictiveController", "PredictiveControlSe
 
 __getattr__, __dir__ = lazily(__name__, {
     **{name: f"ssmr_torch.face:{name}" for name in ("check", "load", "read", "simulate")},
-    "trajectories": "ssmr_torch.data.arrays:trajectories", "fit": "ssmr_torch.fitting.by_kind:fit",
+    "trajectories": "ssmr_torch.data.arrays:trajectories", "fit": "ssmr_torch.fitting.fit:fit",
     "design": "ssmr_torch.controller_design.design:design",
     "rehearse": "ssmr_torch.controller_design.rehearsal:rehearse",
     "compare": "ssmr_torch.fitting.compare_models:compare",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 EXPECTED = ("an artifact (a folder with card.json, of ssmr export or model.save), or an .h5 file of trajectories (ssmr "
             "collect, data.save) or of a closed loop (record.save)")
-READERS = {"ssmr_torch trajectories": "ssmr_torch.data.readers:stored",
+READERS = {"ssmr_torch trajectories": "ssmr_torch.data.stored_trajectories:stored",
            "ssmr_torch closed loop": "ssmr_torch.closed_loop.record:ClosedLoopRecord"}
 ADVICE = {".ckpt": "a checkpoint: ssmr export checkpoint=FILE makes an artifact of it",
           ".yaml": "a card perhaps: ssmr_torch.read(FILE) reads recordings by a card"}
@@ -38,7 +38,7 @@ def read(card: str | Path) -> TrajectoryDataset:
         ...
     FileNotFoundError: no card at robot.yaml; write one as docs/data.md shows
     """
-    return found("ssmr_torch.data.readers:custom")(card)
+    return found("ssmr_torch.data.card_reader:custom")(card)
 
 
 def check(data: TrajectoryDataset) -> RecordingsReport:

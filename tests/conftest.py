@@ -93,17 +93,17 @@ def solve_stages():
 
 
 @pytest.fixture(scope="session")
-def bench():
+def trial():
     """The tracking problem of the benchmarks as a module: `oscillators`, `perturbed`, `ModelPlant`, `BOUNDS`, …"""
     return tracking_instance
 
 
 @pytest.fixture(scope="session")
-def by_hand(bench):
+def by_hand(trial):
     """(task, **settings) → a `DesignedController` of the benchmark's oscillators, as a design makes one: delay, lag,
     friction and gains of the actuator, the stationary observer, weights in ranges.
     """
-    model, outputs, span = bench.oscillators(), [f"y{k}" for k in range(6)], np.ptp(bench.BOUNDS, axis=0)
+    model, outputs, span = trial.oscillators(), [f"y{k}" for k in range(6)], np.ptp(trial.BOUNDS, axis=0)
     A, B, _ = model.linearize(np.zeros(6), np.full(4, 0.2))
     G, H = scipy.linalg.block_diag(A, np.eye(6)), np.hstack([np.eye(6), np.eye(6)])
     process = scipy.linalg.block_diag(1e-4 * B @ B.T + 1e-12 * np.eye(6), 1e-10 * np.eye(6))
@@ -116,12 +116,12 @@ def by_hand(bench):
         horizon=8, period=0.01, output_weight=1e9, input_weight=1.0, move_weight=40.0, huber=1e-4, observer=observer,
         actuator=actuator, approach=0.5, input_target=(0.1,) * 4)
     card = {"name": "oscillators", "output_names": outputs, "input_names": ["left", "right", "up", "down"],
-            "input_unit": "N", "rest": [0.1] * 6, "input_range": bench.BOUNDS.tolist(), "sampling_time": 0.01}
+            "input_unit": "N", "rest": [0.1] * 6, "input_range": trial.BOUNDS.tolist(), "sampling_time": 0.01}
     facts = {"tuned": "designed from 2.5 min of recordings", "minutes": 2.5, "reach": 0.02, "task": "figure eight"}
 
     def make(task=None, **changes):
-        task = bench.figure_eight(laps=1.0, amplitude=0.005, tracked=("y0", "y1")) if task is None else task
-        return DesignedController(model, task, bench.BOUNDS, settings.changed(**changes), timestep=0.01,
+        task = trial.figure_eight(laps=1.0, amplitude=0.005, tracked=("y0", "y1")) if task is None else task
+        return DesignedController(model, task, trial.BOUNDS, settings.changed(**changes), timestep=0.01,
                                   output_names=outputs, facts=facts, card=card)
 
     return make

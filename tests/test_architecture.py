@@ -38,7 +38,7 @@ HOMES = {
     "soromox": ["plants/isupport.py", "plants/planar_hsa.py"],
     "jax": ["plants/isupport.py", "plants/planar_hsa.py", "plants/soromox_robot.py"],
     "proxsuite": ["control/solvers/proxqp.py"], "daqp": ["control/solvers/daqp.py"],
-    "qpsolvers": ["control/solvers_of_qpsolvers.py", "benchmarks/comparison.py"],
+    "qpsolvers": ["control/qpsolvers_adapter.py", "benchmarks/comparison.py"],
     "safetensors": ["deployment/artifact.py"],
     "onnx": ["deployment/onnx_program.py"], "onnxruntime": ["deployment/onnx_program.py"],
     "casadi": ["deployment/casadi_program.py", "benchmarks/other_solvers.py"],
@@ -49,7 +49,7 @@ HOMES = {
     "h5py": ["trajectory.py", "closed_loop/record.py", "commissioning/directory.py", "data/*",
              "collection/resumption.py", "paper/report_sections.py", "paper/workspace_errors.py"],
     "yaml": ["data/card_file.py", "documents/stray_numbers.py"],
-    "pandas": ["data/column_files.py", "data/csv_text.py"],
+    "pandas": ["data/column_files.py", "data/csv_reader.py"],
     "pydantic": ["data/card_file.py", "data/recording_card.py", "data/units.py", "commissioning/robot_card.py"],
     "pydantic_core": ["data/card_file.py"],
     "matplotlib": ["evaluation/*figures.py"],
@@ -74,11 +74,11 @@ NEVER = {
 EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "control"]}
 # Who touches files; all else takes and returns arrays.
 TOUCHES_FILES = [
-    "trajectory.py", "benchmarks/*", "deployment/artifact.py", "deployment/checkpoint_twin.py", "closed_loop/record.py",
+    "trajectory.py", "benchmarks/*", "deployment/artifact.py", "deployment/checkpoint_copy.py", "closed_loop/record.py",
     "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py",
     "commissioning/directory.py",
     "controller_design/report.py", "defaults.py", "data/*", "documents/*", "search/*",
-    "deployment/deploy.py", "fitting/by_kind.py", "fitting/checkpoints.py", "evaluation/*figures.py",
+    "deployment/deploy.py", "fitting/fit.py", "fitting/checkpoints.py", "evaluation/*figures.py",
     "report/html_page.py", "report/run_sections.py",
     "paper/job_run.py", "paper/report_sections.py", "paper/reproduction.py", "paper/result_tables.py",
     "paper/workspace_errors.py",

@@ -9,7 +9,7 @@ import pytest
 import ssmr_torch as ssmr
 from ssmr_torch.data_sheet import DataSheet, html, text
 
-EXAMPLES = ("data_sheet", "run", "trajectory", "data.arrays", "face", "fitting.by_kind", "evaluation.score_table",
+EXAMPLES = ("data_sheet", "run", "trajectory", "data.arrays", "face", "fitting.fit", "evaluation.score_table",
             "trained_model", "tasks.references", "plants.slow_manifold", "control.mpc_settings")
 
 

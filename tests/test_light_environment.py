@@ -35,10 +35,10 @@ def light(wheel, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def shipped(bench, tmp_path_factory):
+def shipped(trial, tmp_path_factory):
     """An artifact with the names of the slow manifold, and the settings that `ssmr serve-controller` writes for it."""
     plant, at = SlowManifold(), tmp_path_factory.mktemp("shipped")
-    artifact.save(at / "artifact", bench.oscillators(), output_names=plant.output_names,
+    artifact.save(at / "artifact", trial.oscillators(), output_names=plant.output_names,
                   input_names=plant.input_names, rest=plant.rest, input_range=plant.input_bounds)
     subprocess.run([Path(sys.executable).with_name("ssmr"), "serve-controller", "artifact=artifact", "task=letter",
                     "controller=scp_trunk", "runs=0", "bind=tcp://127.0.0.1:*", "hydra.run.dir=serve"], cwd=at,

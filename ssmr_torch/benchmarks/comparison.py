@@ -20,7 +20,7 @@ import qpsolvers
 from ssmr_torch.benchmarks.other_solvers import Acados, Unavailable, casadi_rti, ipopt
 from ssmr_torch.benchmarks.tracking_instance import measure, predictive
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.control.solvers_of_qpsolvers import QPSolvers
+from ssmr_torch.control.qpsolvers_adapter import QPSolvers
 
 # Tight enough for the residuals of 1e-5 that we accept; what the solvers do by themselves differs widely.
 PRECISE = {

@@ -24,7 +24,7 @@ from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.control.tightening import tightened
 from ssmr_torch.deployment import artifact
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
-from ssmr_torch.fitting.by_kind import fit
+from ssmr_torch.fitting.fit import fit
 from ssmr_torch.tasks.obstacles import random_circles
 from ssmr_torch.tasks.symbols import symbol
 from ssmr_torch.trajectory import Trajectory

@@ -11,7 +11,7 @@ from tqdm import tqdm
 from ssmr_torch import __version__
 from ssmr_torch.collection.excitation import RandomOnOffRamp, Release
 from ssmr_torch.collection.parallel import available_cores, record, record_all
-from ssmr_torch.collection.plans import (
+from ssmr_torch.collection.recording_plans import (
     ControlledRun,
     RecordingPlan,
     decay_plans,

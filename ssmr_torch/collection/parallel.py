@@ -18,7 +18,7 @@ from threading import Thread
 
 import numpy as np
 
-from ssmr_torch.collection.plans import RecordingPlan, naming
+from ssmr_torch.collection.recording_plans import RecordingPlan, naming
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.trajectory import Trajectory
 

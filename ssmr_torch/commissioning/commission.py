@@ -12,9 +12,9 @@ import numpy as np
 from ssmr_torch.collection.resumption import COMPLETE
 from ssmr_torch.commissioning.channels import admissible_share, channel_faults, channels_said, expectations
 from ssmr_torch.commissioning.circles import circle_about, reach, tracked_outputs
+from ssmr_torch.commissioning.collection_with_limits import gather, recorded_share
 from ssmr_torch.commissioning.confirmation import Confirm, confirmation, ended_in_order
 from ssmr_torch.commissioning.directory import REPORT, CommissioningDirectory
-from ssmr_torch.commissioning.gathering import gather, recorded_share
 from ssmr_torch.commissioning.noise import measure_noise, noise_faults, noise_said
 from ssmr_torch.commissioning.report import FIGURES, TITLES, written
 from ssmr_torch.commissioning.robot_card import RobotCard, fitted, read_robot_card

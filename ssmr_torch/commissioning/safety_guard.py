@@ -8,7 +8,7 @@ from contextlib import suppress
 import numpy as np
 
 from ssmr_torch.collection.excitation import neutral_input
-from ssmr_torch.collection.plans import described_plant
+from ssmr_torch.collection.recording_plans import described_plant
 from ssmr_torch.commissioning.robot_card import RobotCard
 from ssmr_torch.plants.base import Plant, PlantSheet, finite_vector
 from ssmr_torch.trajectory import Trajectory

@@ -7,8 +7,8 @@ from collections import Counter
 import numpy as np
 
 from ssmr_torch.control.chart_estimator import ChartEstimator
+from ssmr_torch.control.model_step import Stepper
 from ssmr_torch.control.outlier_gate import InnovationGate
-from ssmr_torch.control.stepping import Stepper
 from ssmr_torch.periods import whole_steps
 
 BEYOND = 1.2      # times the recorded range: a state beyond it that also mispredicts is lost

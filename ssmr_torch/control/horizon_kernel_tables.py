@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ssmr_torch.models.held_input import derivative_table, output_table, products, split, trimmed
 from ssmr_torch.models.monomials import Monomials
-from ssmr_torch.models.split import derivative_table, output_table, products, split, trimmed
 from ssmr_torch.models.structure import SCHEMES
 
 # A number in a column that is summed up alone costs as much as this many numbers of a whole table.

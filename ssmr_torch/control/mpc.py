@@ -18,12 +18,12 @@ from ssmr_torch.control.chart_estimator import ChartEstimator
 from ssmr_torch.control.condensing import continues
 from ssmr_torch.control.horizon import horizon_for
 from ssmr_torch.control.input_bounds import admissible_input
+from ssmr_torch.control.model_step import Stepper
 from ssmr_torch.control.mpc_settings import PredictiveControlSettings
 from ssmr_torch.control.problem_from_settings import TrackedReference, actuator_of, names_seen, tracking_problem
 from ssmr_torch.control.sampling import Sample, Sampling
 from ssmr_torch.control.scp import Plan, solve_scp
 from ssmr_torch.control.solvers import solver_named
-from ssmr_torch.control.stepping import Stepper
 from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.keywords import configurable
 from ssmr_torch.periods import whole_steps

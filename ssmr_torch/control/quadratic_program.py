@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 
-from ssmr_torch.control import kkt
+from ssmr_torch.control import program_checks
 from ssmr_torch.status import Status
 
 # A solution is rejected when a recomputed residual exceeds the tolerance by this factor.
@@ -72,9 +72,9 @@ class QuadraticProgram:
         Defects are NaN, crossed bounds, H not semidefinite, and a cost so large that solutions cannot be told apart to
         a tolerance of 1e-6, as for a state far outside the model's range. Solvers would spend all iterations on it.
         """
-        found = kkt.soundness(*self._parts(), LARGEST)
-        if found != kkt.SOUND:
-            return {kkt.NOT_FINITE: Status.NOT_FINITE, kkt.CROSSED: Status.PRIMAL_INFEASIBLE}.get(
+        found = program_checks.soundness(*self._parts(), LARGEST)
+        if found != program_checks.SOUND:
+            return {program_checks.NOT_FINITE: Status.NOT_FINITE, program_checks.CROSSED: Status.PRIMAL_INFEASIBLE}.get(
                 found, Status.OUT_OF_RANGE)
         if self.convex:
             return None
@@ -149,7 +149,7 @@ class QPSolution:
         Multipliers of absent bounds come from rounding and are set to zero.
         """
         box, rows = box.copy(), rows.copy()
-        primal, dual, gap, weight = kkt.kkt_residuals(*problem._parts(), x, box, rows)
+        primal, dual, gap, weight = program_checks.kkt_residuals(*problem._parts(), x, box, rows)
         if claim.success:
             limit = RESIDUAL_FACTOR * tolerance
             # The gap per unit of multiplier is the mean distance from the active bounds.

@@ -16,7 +16,6 @@ import numpy.typing as npt
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.designed import DesignedController
 from ssmr_torch.control.tightening import tightened
-from ssmr_torch.controller_design.controller import settings_of
 from ssmr_torch.controller_design.identification import Identification, identify
 from ssmr_torch.controller_design.model_choice import (
     SEARCHED,
@@ -32,6 +31,7 @@ from ssmr_torch.controller_design.noises import Likelihood
 from ssmr_torch.controller_design.readjustment import operation_error
 from ssmr_torch.controller_design.recordings import Recordings, held_out, recordings_of
 from ssmr_torch.controller_design.report import DesignReport
+from ssmr_torch.controller_design.settings_from_design import settings_of
 from ssmr_torch.controller_design.weights import choose_weights
 from ssmr_torch.provenance import provenance
 from ssmr_torch.renamed import kind_now
@@ -173,7 +173,7 @@ def _chosen(model, data: TrajectoryDataset, acted: Recordings, tried: list, actu
     """The requested model, with a predictive model as its twin."""
     if _is_searched(model):
         return choose_predictive(acted, tried, say=say)
-    from ssmr_torch.fitting.by_kind import fit  # needs Torch and Lightning; a predictive model does not
+    from ssmr_torch.fitting.fit import fit  # needs Torch and Lightning; a predictive model does not
 
     if isinstance(model, str):
         trained = fit(acting_dataset(data, actuator), model, progress=False)

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from ssmr_torch.control.actuator import Actuator
-from ssmr_torch.controller_design.predictive import Form, Regression, Scaled, chart, held_error
+from ssmr_torch.controller_design.predictive_chart import Form, Regression, Scaled, chart, held_error
 from ssmr_torch.controller_design.recordings import Recordings
 
 DELAYS = range(7)                                 # samples

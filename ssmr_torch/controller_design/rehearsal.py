@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 
 from ssmr_torch import data_sheet as sheet
 from ssmr_torch.control.actuator import ActuatorState
-from ssmr_torch.control.stepping import Stepper
+from ssmr_torch.control.model_step import Stepper
 from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.tasks.references import Task
 

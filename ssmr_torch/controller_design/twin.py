@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssmr_torch.control.actuator import Actuator, ActuatorState
-from ssmr_torch.control.stepping import Stepper
+from ssmr_torch.control.model_step import Stepper
 from ssmr_torch.controller_design.noises import Noises
 from ssmr_torch.controller_design.recordings import Recordings
 from ssmr_torch.models.polynomial import PolynomialModel

@@ -10,11 +10,11 @@ import numpy as np
 
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.controller_design.controller import settings_of
-from ssmr_torch.controller_design.loops import Margins, Point, Weights
+from ssmr_torch.controller_design.linear_loop import Margins, Point, Weights
 from ssmr_torch.controller_design.model_choice import ChosenModel, points_along
 from ssmr_torch.controller_design.noises import Likelihood, Noises, Observer
 from ssmr_torch.controller_design.recordings import Recordings
+from ssmr_torch.controller_design.settings_from_design import settings_of
 from ssmr_torch.controller_design.twin import CASES, LOST, WIDER, Case, Twin, recorded_motion, tracking_error
 from ssmr_torch.tasks.references import Task
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from ssmr_torch.data.csv_text import read_csv
+from ssmr_torch.data.csv_reader import read_csv
 from ssmr_torch.extras import require
 
 HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf")
@@ -15,7 +15,7 @@ PARQUET_SUFFIXES = (".parquet", ".pq")
 
 
 def read_columns(path: str | Path) -> dict[str, np.ndarray]:
-    """Columns by name, (T,) each, from a CSV file with one header row (`csv_text.read_csv`), the datasets of an HDF5
+    """Columns by name, (T,) each, from a CSV file with one header row (`csv_reader.read_csv`), the datasets of an HDF5
     file, or the columns of numbers of a Parquet file.
 
     An HDF5 dataset "y" of shape (T, p) gives the columns y_0 … y_{p-1}. Empty cells become NaN.

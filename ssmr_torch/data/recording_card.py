@@ -11,8 +11,8 @@ from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, field_v
 from ssmr_torch.data.card_file import Card, not_as_described, read_card, refuse_unknown
 from ssmr_torch.data.sampling import IRREGULAR
 from ssmr_torch.data.units import Plausible, Units
+from ssmr_torch.symmetry_turns import stated
 from ssmr_torch.trajectory import SPLITS
-from ssmr_torch.turns import stated
 
 RESTS = ("last sample of decays", "median of resting samples")
 PAGE = "docs/data.md"
@@ -59,7 +59,8 @@ class RecordingCard(Card):
     [...]}.
     sampling_time: in units.time, for files without a column of time. timestep: grid, s.
     range, interval_range, largest_input: what is plausible (`Plausible`), m, s, and N or 1.
-    symmetry: {angle, axis, inputs} of a turn under which the robot stays the same, see `ssmr_torch.turns.stated`.
+    symmetry: {angle, axis, inputs} of a turn under which the robot stays the same,
+    see `ssmr_torch.symmetry_turns.stated`.
     """
 
     files: list[str] = Field(min_length=1, description="the names of one file or more")

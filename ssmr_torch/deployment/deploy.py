@@ -21,8 +21,8 @@ import numpy as np
 
 from ssmr_torch.deployment import artifact
 from ssmr_torch.deployment.artifact import Artifact
+from ssmr_torch.deployment.c.c_text import identifier
 from ssmr_torch.deployment.c.compiled_library import FLAGS, CLibrary, compile_library, compiler
-from ssmr_torch.deployment.c.literals import identifier
 from ssmr_torch.deployment.c.model_source import write_c
 from ssmr_torch.deployment.reference_batch import Sought, check, expected, horizon_inputs
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-from ssmr_torch.deployment.checkpoint_twin import save_twin
+from ssmr_torch.deployment.checkpoint_copy import save_twin
 from ssmr_torch.fitting.lightning_fit import description
 from ssmr_torch.lazy import found
 from ssmr_torch.models.base import Model

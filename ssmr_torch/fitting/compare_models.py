@@ -11,12 +11,12 @@ from tqdm import tqdm
 
 from ssmr_torch.evaluation.model_comparison import Comparison
 from ssmr_torch.evaluation.run_groups import compare_groups
-from ssmr_torch.fitting.by_kind import fit, refuse_unknown_kind
+from ssmr_torch.fitting.fit import fit, refuse_unknown_kind
 from ssmr_torch.fitting.training import data_card
 from ssmr_torch.provenance import provenance
 from ssmr_torch.selection.baseline_choice import KINDS, BaselineChoice, choose_baseline
 from ssmr_torch.selection.coordinates import offered
-from ssmr_torch.selection.samples import Samples
+from ssmr_torch.selection.folds_and_starts import Samples
 from ssmr_torch.selection.trial import Trial
 from ssmr_torch.trained_model import TrainedModel
 from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data

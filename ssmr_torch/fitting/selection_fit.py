@@ -12,7 +12,7 @@ from ssmr_torch.fitting.lightning_fit import ModelFit
 from ssmr_torch.keywords import configurable
 from ssmr_torch.models.slow_fast import SlowFast
 from ssmr_torch.periods import whole_multiple
-from ssmr_torch.selection.choice import Choice, choose
+from ssmr_torch.selection.choose import Choice, choose
 from ssmr_torch.selection.settings import SelectionSettings
 
 

@@ -15,7 +15,7 @@ from ssmr_torch.data.windows import Segment
 from ssmr_torch.fitting.closed_form_fit import ExactSolve
 from ssmr_torch.fitting.dimension import captured_variance
 from ssmr_torch.fitting.lightning_fit import ModelFit
-from ssmr_torch.fitting.tpwl_replay import Replay, linearized_step, replayed
+from ssmr_torch.fitting.plant_replay import Replay, linearized_step, replayed
 from ssmr_torch.keywords import configurable
 from ssmr_torch.models.torch_model import fill
 from ssmr_torch.models.tpwl import TPWL

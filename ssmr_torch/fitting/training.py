@@ -17,7 +17,7 @@ from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.data.derivatives import Stencil
 from ssmr_torch.data.refusals import refuse_still_inputs
 from ssmr_torch.fitting.checkpoints import check_resumable, load_model, save_model
-from ssmr_torch.fitting.constructors import check_call, default_of, sized_model
+from ssmr_torch.fitting.constructor_checks import check_call, default_of, sized_model
 from ssmr_torch.fitting.fit_warnings import diagnose
 from ssmr_torch.fitting.koopman_least_squares import KoopmanLeastSquares
 from ssmr_torch.fitting.lightning_fit import LeastSquaresFit, ModelFit

@@ -14,8 +14,8 @@ import numpy as np
 from numba import njit
 
 from ssmr_torch.models.batch_rollout import BatchRollout
+from ssmr_torch.models.held_input import output_table, products
 from ssmr_torch.models.monomials import Form, Monomials
-from ssmr_torch.models.split import output_table, products
 from ssmr_torch.models.structure import SCHEMES
 
 RUNGE_KUTTA, EULER = SCHEMES.index("runge_kutta"), SCHEMES.index("euler")

@@ -139,7 +139,7 @@ def _at_hand(settings: Mapping, recordings: str | None) -> dict:
 def data_job(settings: Mapping, robot: str) -> Job:
     """The robot's trajectories; recordings have none."""
     its = _robot(settings, robot)
-    overrides = (*_plant(its), *_bench(its), f"excitation={its['excitation']}", "excitation.progress=false",
+    overrides = (*_plant(its), *_rig(its), f"excitation={its['excitation']}", "excitation.progress=false",
                  "workers=1", *its.get("collect", ()))
     return Job(f"data/{robot}", f"data/{robot}/trajectories.h5", (Step("collect", overrides),), about={"robot": robot})
 
@@ -182,9 +182,9 @@ def run_job(settings: Mapping, figure: str, method: str, task: str, seed: int, p
     """One closed loop; period in s."""
     its = settings["figures"][figure]
     robot = its["robot"]
-    bench = _robot(settings, robot)
-    overrides = (*_plant(bench), *_bench(bench), *bench["methods"][method], *_task(its, task)["control"],
-                 *settings.get("control", ()), *bench.get("control", ()), f"controller.period={period:g}",
+    plant = _robot(settings, robot)
+    overrides = (*_plant(plant), *_rig(plant), *plant["methods"][method], *_task(its, task)["control"],
+                 *settings.get("control", ()), *plant.get("control", ()), f"controller.period={period:g}",
                  f"seed={seed}", *(f"{key}={seed}" for key in its.get("seeded", ())))
     step = Step("control", overrides, {"artifact": f"{_model_name(robot, method)}/artifact"})
     name = f"runs/{figure}/{robot}/{method}/{task}/{seed}-{1e3 * period:g}ms"
@@ -257,9 +257,9 @@ def _plant(its: Mapping) -> tuple[str, ...]:
     return (f"plant={its['plant']}", *([f"plant.mesh={quoted(its['mesh'])}"] if its.get("mesh") else []))
 
 
-def _bench(its: Mapping) -> tuple[str, ...]:
+def _rig(its: Mapping) -> tuple[str, ...]:
     """What stands between the plant and who controls it."""
-    return (f"rig={its['rig']}", *its.get("bench", ()))
+    return (f"rig={its['rig']}", *its.get("unmodelled", ()))
 
 
 def _model_name(robot: str, method: str) -> str:

@@ -35,7 +35,7 @@ class Published:
     here: str = ""
 
 
-# Table 1; "emulated_bench" is the diamond experiment of the paper, on its real bench
+# Table 1; "emulated_bench" stands for the paper's experiment with the real diamond
 TABLE_1 = {
     "diamond": {"SSMR": Model(6, 8692, 40, 1), "SSSR": Model(6, 8692, 40, 1), "DMD": Model(11, 8692, 0, 1),
                 "EDMD": Model(66, 8692, 0, 1), "TPWL": Model(42, 4352, 0, None)},
@@ -103,7 +103,7 @@ FIGURES = {
         "SSMR has the lowest ISE, is inside obstacles the least and the least deep.", ("SSMR", "SSSR", "EDMD", "TPWL")),
     "fig10": Published(
         "Figure 10: the diamond on its bench",
-        "The paper shows its hardware, motors that pull cables at a silicone diamond and cameras that see its tip, and "
+        "The paper shows its robot, motors that pull cables at a silicone diamond and cameras that see its tip, and "
         "the three tasks.", "", (),
         here="Here the bench is emulated: another stiffness than the model's, and the sensors and motors of a rig. "
              "Where recordings of the real one are given, models of them are scored in the open loop."),

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ssmr_torch.data.column_files import pick, read_columns
-from ssmr_torch.data.matlab import read_koopman_struct, read_ssmlearn_cells, read_vector
+from ssmr_torch.data.matlab_reader import read_koopman_struct, read_ssmlearn_cells, read_vector
 from ssmr_torch.data.recording import Recording, assemble, fingerprint, rest_at_end
 from ssmr_torch.data.run_boundaries import check_seams, find_seams
 from ssmr_torch.data.sampling import IRREGULAR, SamplingRule

@@ -119,7 +119,7 @@ def _parts(figure: str, directory: Path, results: Results) -> list:
     if published.FIGURES[figure].robot:
         return _open_loop_parts(figure, directory, results)
     if figure == "fig10":
-        return _bench_parts(results)
+        return _emulated_bench_parts(results)
     if figure == "fig8":
         return pareto_parts(directory, results)
     return loop_parts(figure, directory, results)
@@ -190,7 +190,7 @@ def _open_loop_table(robot: str, results: Results) -> Table:
                  "where one diverged.")
 
 
-def _bench_parts(results: Results) -> list:
+def _emulated_bench_parts(results: Results) -> list:
     rows = []
     for figure in ("fig11", "fig12"):
         for (_, task), methods in loops(figure, results.runs).items():

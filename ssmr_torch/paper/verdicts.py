@@ -18,7 +18,7 @@ from ssmr_torch.paper import published_numbers as published
 
 REFERENCE = "SSMR"
 PARETO = ("fig6", "fig7", "fig8")  # Fig. 8 is about the closed loops of Fig. 6 and 7, and further ones of its own
-HARDWARE = ("fig10", "fig11", "fig12")
+REAL_ROBOT = ("fig10", "fig11", "fig12")
 MM, MS, PERCENT = 1e3, 1e3, 100.0
 
 
@@ -84,7 +84,7 @@ def judge(figure: str, results: Results) -> Verdict:
 
 def loops(figure: str, runs: Sequence[Run]) -> dict[tuple[str, str], dict[str, list[Run]]]:
     """(robot, task) → method → runs of the figure, each method at one control period: in simulation that of SSMR, as in
-    the paper, or the shortest; on the bench the shortest that most of its runs held in real time, or the shortest.
+    the paper, or the shortest; on the emulated bench the shortest that most of its runs held in real time.
     """
     found: dict[tuple[str, str], dict[str, list[Run]]] = {}
     for run in runs:
@@ -93,7 +93,7 @@ def loops(figure: str, runs: Sequence[Run]) -> dict[tuple[str, str], dict[str, l
     chosen = {}
     for place, methods in found.items():
         common = min((run.period for run in methods.get(REFERENCE, ())), default=0.0)
-        periods = {method: _period(own, common, figure in HARDWARE) for method, own in methods.items()}
+        periods = {method: _period(own, common, figure in REAL_ROBOT) for method, own in methods.items()}
         chosen[place] = {name: [run for run in own if run.period == periods[name]] for name, own in methods.items()}
     return chosen
 
@@ -188,7 +188,7 @@ def _open_loop(figure: str, results: Results) -> Verdict:
 
 
 def _tracking(figure: str, results: Results) -> Verdict:
-    """Whether SSMR, on the bench SSMR and SSSR, track with a lower mean ISE than the others in every task."""
+    """Whether SSMR (on the emulated bench SSMR and SSSR) track with a lower mean ISE than the others in every task."""
     paper, leaders = published.FIGURES[figure], ("SSMR", "SSSR") if figure == "fig11" else ("SSMR",)
     said, holds, printed = [], [], []
     for (robot, task), methods in loops(figure, results.runs).items():

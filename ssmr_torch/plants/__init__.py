@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ssmr_torch.plants.isupport import ISupport
     from ssmr_torch.plants.planar_hsa import PlanarHSA
     from ssmr_torch.plants.pressure_arm import PressureArm
-    from ssmr_torch.plants.remote import RemotePlant
+    from ssmr_torch.plants.remote_robot import RemotePlant
     from ssmr_torch.plants.slow_manifold import SlowManifold
     from ssmr_torch.plants.tendon_chain import TendonChain
     from ssmr_torch.plants.trunk import Trunk
@@ -32,5 +32,5 @@ __getattr__, __dir__ = lazily(__name__, {
     "ISupport": "ssmr_torch.plants.isupport:ISupport", "PlanarHSA": "ssmr_torch.plants.planar_hsa:PlanarHSA",
     "PressureArm": "ssmr_torch.plants.pressure_arm:PressureArm",
     "TendonChain": "ssmr_torch.plants.tendon_chain:TendonChain", "Plant": "ssmr_torch.plants.base:Plant",
-    "RemotePlant": "ssmr_torch.plants.remote:RemotePlant", "Rig": "ssmr_torch.plants.emulated_rig:Rig",
+    "RemotePlant": "ssmr_torch.plants.remote_robot:RemotePlant", "Rig": "ssmr_torch.plants.emulated_rig:Rig",
     "SlowManifold": "ssmr_torch.plants.slow_manifold:SlowManifold", "Trunk": "ssmr_torch.plants.trunk:Trunk"})

@@ -11,7 +11,7 @@ from ssmr_torch.models.monomials import Monomials
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.structure import Structure
 from ssmr_torch.selection.charts import Chart
-from ssmr_torch.selection.samples import Samples
+from ssmr_torch.selection.folds_and_starts import Samples
 from ssmr_torch.selection.specification import Specification
 
 REACH = 2.0   # nonlinear terms saturate beyond this many times the training range, and stay below 1.5 times that

@@ -13,9 +13,9 @@ import numpy as np
 
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.selection.baseline import RIDGES, Baseline
+from ssmr_torch.selection.folds_and_starts import FOLDS
 from ssmr_torch.selection.koopman_baselines import LIFTINGS, KoopmanForm
 from ssmr_torch.selection.manifold_baselines import ControlAugmentedForm, SubmanifoldForm
-from ssmr_torch.selection.samples import FOLDS
 from ssmr_torch.selection.stability import stays_bounded
 from ssmr_torch.selection.trial import FAILED, Outcome, Trial
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ssmr_torch.selection.folds_and_starts import Samples
 from ssmr_torch.selection.least_squares import Moments
-from ssmr_torch.selection.samples import Samples
 from ssmr_torch.selection.specification import Specification
 
 QUIET = 1e-4      # relative noise below which the predictive chart must also predict the newest sample

@@ -12,8 +12,8 @@ from ssmr_torch.models.named_structures import koopman_structure
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.selection.baseline import Baseline
 from ssmr_torch.selection.features import LARGEST
+from ssmr_torch.selection.folds_and_starts import FOLDS, Samples
 from ssmr_torch.selection.least_squares import Moments, by_fold
-from ssmr_torch.selection.samples import FOLDS, Samples
 
 
 class Lifting(NamedTuple):

@@ -15,8 +15,8 @@ from ssmr_torch.models.named_structures import control_augmented_structure, ssm_
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.selection.baseline import Baseline
 from ssmr_torch.selection.charts import future_inputs, leading_directions
+from ssmr_torch.selection.folds_and_starts import FOLDS, Samples
 from ssmr_torch.selection.least_squares import Moments, by_fold
-from ssmr_torch.selection.samples import FOLDS, Samples
 
 DEGREES = {"ssmr": 2, "sssr": 1}
 FUTURE = 10           # number of samples that the control-augmented chart must predict

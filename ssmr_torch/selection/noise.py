@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.selection.folds_and_starts import Samples
 from ssmr_torch.selection.least_squares import Moments
-from ssmr_torch.selection.samples import Samples
 from ssmr_torch.selection.windows import longer_window
 
 STRETCH = 25        # smallest number of samples in a piece of a run, in which the noise is estimated

@@ -13,7 +13,7 @@ import numpy as np
 from ssmr_torch.models.batch_rollout import batch_of
 from ssmr_torch.models.monomials import Form
 from ssmr_torch.models.polynomial import PolynomialModel
-from ssmr_torch.selection.samples import Starts
+from ssmr_torch.selection.folds_and_starts import Starts
 
 STEPS = (0.01, 0.02, 0.03, 0.05, 0.08, 0.13, 0.2, 0.35, 0.6, 1.0)  # shares of the horizon at which errors count
 ROUNDS, ENOUGH = 3, 3e-3      # number of Gauss-Newton steps; relative gain below which no further step is taken

@@ -6,7 +6,7 @@ import numpy as np
 
 from ssmr_torch.models.batch_rollout import BatchRollout, batch_of
 from ssmr_torch.models.polynomial import PolynomialModel
-from ssmr_torch.selection.samples import Starts
+from ssmr_torch.selection.folds_and_starts import Starts
 
 DENSE = 64  # for linear maps with more states, products of whole matrices are faster than the compiled kernel
 

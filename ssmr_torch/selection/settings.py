@@ -26,7 +26,7 @@ class SelectionSettings(Settings):
     refine: whether the best models are refined by Gauss-Newton steps on rollouts.
     symmetry: "find" looks in the data for turns of the outputs with a permutation of the inputs, and uses them; "none"
         uses none; a mapping states a known one, {"angle": 90, "axis": [0, 0, 1], "inputs": [...]}, see
-        `ssmr_torch.turns.stated`.
+        `ssmr_torch.symmetry_turns.stated`.
     minutes: CPU minutes after which no further specification is tried.
 
     Raises ValueError for a value out of range.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.selection.folds_and_starts import Samples, Starts
 from ssmr_torch.selection.rollouts import rolled_out
-from ssmr_torch.selection.samples import Samples, Starts
 
 FARTHEST = 3.0    # largest output of a rollout, relative to the largest training output
 STRONGER, FASTER = (1.0, 1.5), (1, 2)

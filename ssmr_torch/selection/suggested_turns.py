@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ssmr_torch.turns import Turn, closed, marker_size, mirror, on_markers, rotation
+from ssmr_torch.symmetry_turns import Turn, closed, marker_size, mirror, on_markers, rotation
 
 ANGLES = (60, 90, 120, 180)   # degrees
 NEAR = 0.25                   # largest relative error of the turned response for a turn to be tried

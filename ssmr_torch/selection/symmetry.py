@@ -12,14 +12,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ssmr_torch.models.polynomial import PolynomialModel
-from ssmr_torch.selection.candidate import ALL, ClosedForm
+from ssmr_torch.selection.closed_form import ALL, ClosedForm
+from ssmr_torch.selection.folds_and_starts import Samples, Starts
 from ssmr_torch.selection.rollouts import rolled_out
-from ssmr_torch.selection.samples import Samples, Starts
 from ssmr_torch.selection.specification import Specification
 from ssmr_torch.selection.stability import decays_at_rest
 from ssmr_torch.selection.suggested_turns import NEAR, placed, suggested
 from ssmr_torch.selection.trial import Trial
-from ssmr_torch.turns import Turn, closed, marker_size, stated
+from ssmr_torch.symmetry_turns import Turn, closed, marker_size, stated
 
 STEP, INSTANTS = 1.0, 10    # length in s and number of samples of the responses that are compared
 SIGNED = 0.5                # an input counts as signed if its smaller extreme exceeds this share of its larger one
@@ -62,7 +62,7 @@ def with_symmetry(make: Callable[[Sequence[Turn]], Trial], wish: str | Mapping,
                   input_names: Sequence[str] | None = None) -> Symmetric:
     """The trial that uses the symmetries of the runs. make: builds a trial on the runs and their turned copies.
 
-    wish: "find", "none", or a symmetry in the form of `ssmr_torch.turns.stated`, which is used without a test.
+    wish: "find", "none", or a symmetry in the form of `ssmr_torch.symmetry_turns.stated`, which is used without a test.
     Raises ValueError for an invalid symmetry.
     """
     plain = make(())

@@ -10,7 +10,7 @@ from ssmr_torch.models.monomials import Monomials
 from ssmr_torch.models.output_coordinates import Identity, Mixture
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.structure import Structure
-from ssmr_torch.selection.samples import FOLDS
+from ssmr_torch.selection.folds_and_starts import FOLDS
 from ssmr_torch.selection.specification import Specification
 from ssmr_torch.selection.trial import Outcome, Trial
 

@@ -17,11 +17,11 @@ from time import process_time
 import numpy as np
 
 from ssmr_torch.models.polynomial import PolynomialModel
-from ssmr_torch.selection.candidate import ALL, ClosedForm
-from ssmr_torch.selection.fibre import with_fibre
+from ssmr_torch.selection.closed_form import ALL, ClosedForm
+from ssmr_torch.selection.fast_state import with_fibre
+from ssmr_torch.selection.folds_and_starts import FOLDS, Samples, Starts
 from ssmr_torch.selection.refinement import LARGEST, Problem, refine
 from ssmr_torch.selection.rollouts import rolled_out
-from ssmr_torch.selection.samples import FOLDS, Samples, Starts
 from ssmr_torch.selection.specification import Specification
 from ssmr_torch.selection.stability import stays_bounded
 

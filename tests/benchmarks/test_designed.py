@@ -19,9 +19,9 @@ OSCILLATORS = {"decays": 6, "validation_decays": 0, "test_decays": 0, "decay_dur
 
 
 @pytest.fixture
-def linear(bench):
+def linear(trial):
     """A linear robot of three oscillators and four pulling inputs, 10 ms."""
-    return bench.ModelPlant(bench.oscillators(degree=1, control_degree=0))
+    return trial.ModelPlant(trial.oscillators(degree=1, control_degree=0))
 
 
 @pytest.fixture
@@ -124,7 +124,7 @@ def test_a_drawing_goes_from_rest_through_the_shape_and_stands_still_at_the_end(
         np.testing.assert_allclose(path[-1], task.reference(planes.LEAD)[0], atol=1e-9)
 
 
-def record_of(error, task, bench):
+def record_of(error, task, trial):
     time = 0.01 * np.arange(len(error))
     return SimpleNamespace(time=time, error=error, solve_time=np.full(len(error), 1e-3), reference=np.zeros_like(error),
                            observation=error, tracked=(0, 1), input=np.zeros((len(error), 1)),
@@ -132,34 +132,34 @@ def record_of(error, task, bench):
                            violation=np.full(len(error), np.nan), provenance={"period": 0.01})
 
 
-def test_a_loop_is_lost_when_it_is_far_beyond_the_static_floor_for_a_third_of_a_second(bench):
+def test_a_loop_is_lost_when_it_is_far_beyond_the_static_floor_for_a_third_of_a_second(trial):
     task, controller = SimpleNamespace(duration=4.0, obstacles=()), SimpleNamespace(
         counts={"gated": 3}, fallbacks={}, input_bounds=np.array([[0.0], [1.0]]))
     error = np.full((401, 2), 1e-3 / np.sqrt(2))
-    row = measured(record_of(error, task, bench), task, controller, 0.1, None)
+    row = measured(record_of(error, task, trial), task, controller, 0.1, None)
     assert row["rmse"] == pytest.approx(1e-3) and not row["lost"] and row["counts"] == {"gated": 3}
     assert row["at a bound"] == 1.0
     error[200:229, 0] = 0.02
-    assert not measured(record_of(error, task, bench), task, controller, 0.1, None)["lost"]
+    assert not measured(record_of(error, task, trial), task, controller, 0.1, None)["lost"]
     error[200:231, 0] = 0.02
-    assert measured(record_of(error, task, bench), task, controller, 0.1, None)["lost"]
-    row = measured(record_of(error, task, bench), task, controller, 0.1, [0.02, 0.02, 0.02])
+    assert measured(record_of(error, task, trial), task, controller, 0.1, None)["lost"]
+    row = measured(record_of(error, task, trial), task, controller, 0.1, [0.02, 0.02, 0.02])
     assert not row["lost"] and row["within"] == 0.0 and row["rmse within"] is None
-    assert measured(record_of(error, task, bench), task, controller, 0.1, [np.inf, 0.0, 0.0])["floor unknown"] == 1 / 3
+    assert measured(record_of(error, task, trial), task, controller, 0.1, [np.inf, 0.0, 0.0])["floor unknown"] == 1 / 3
     error[300:] = np.nan
-    row = measured(record_of(error, task, bench), task, controller, 0.1, None)
+    row = measured(record_of(error, task, trial), task, controller, 0.1, None)
     assert row["lost"] and row["rmse"] is None and "ise" not in row
 
 
 @pytest.fixture
-def miniature(bench, monkeypatch):
+def miniature(trial, monkeypatch):
     """The benchmark with a linear robot and a design that knows it."""
     robots = robots_under_test
-    model = bench.oscillators(degree=1, control_degree=0)
+    model = trial.oscillators(degree=1, control_degree=0)
 
     class Linear(robots.Robot):
         def plant(self, condition, rest=None):
-            plant = Rig(bench.ModelPlant(model), noise_std=1e-5)
+            plant = Rig(trial.ModelPlant(model), noise_std=1e-5)
             return plant if condition == robots.NOMINAL else robots.Disturbed(plant, rest=rest, **condition.changes)
 
         def record(self, plant):

@@ -12,7 +12,7 @@ from ssmr_torch.collection.excitation import Dithered, SmoothRandom
 from ssmr_torch.commissioning.commission import commission
 from ssmr_torch.commissioning.robot_card import RobotCard
 from ssmr_torch.control.base import Command
-from ssmr_torch.plants.remote import RemotePlant
+from ssmr_torch.plants.remote_robot import RemotePlant
 
 RUNS = (ControlledRun("smooth-train", Dithered(SmoothRandom(share=0.5)), 6.0, repeats=3),
         ControlledRun("smooth-test", SmoothRandom(share=0.5), 4.0, split="test"))

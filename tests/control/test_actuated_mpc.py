@@ -46,9 +46,9 @@ def augmented(A, B, share, delay):
 
 
 @pytest.mark.parametrize(("delay", "lag"), [(0, 0.02), (1, 0.0), (3, 0.02)])
-def test_the_controller_equals_one_for_the_model_extended_by_the_actuators_states(bench, delay, lag):
+def test_the_controller_equals_one_for_the_model_extended_by_the_actuators_states(trial, delay, lag):
     """On a linear plant with exactly that actuator; it looks as far beyond the delay as the other one in all."""
-    A, B, _ = bench.oscillators(0, 1, 0).linearize(np.zeros(6), np.zeros(4))
+    A, B, _ = trial.oscillators(0, 1, 0).linearize(np.zeros(6), np.zeros(4))
     actuator = Actuator(H, RANGE, delay=delay, lag=lag)
     plant, feeds = augmented(A, B, actuator.share, delay)
     shared = {"period": H, "input_weight": 30.0, "step_budget": None}
@@ -56,11 +56,11 @@ def test_the_controller_equals_one_for_the_model_extended_by_the_actuators_state
     def solver(horizon):
         return ProxQP(4 * horizon, 0, tolerance=1e-12)
 
-    ours = ModelPredictiveController(linear_model(A, B), EIGHT, bench.BOUNDS, horizon=8, actuator=actuator,
+    ours = ModelPredictiveController(linear_model(A, B), EIGHT, trial.BOUNDS, horizon=8, actuator=actuator,
                                      solver=solver(8), **shared)
     theirs = ModelPredictiveController(linear_model(plant, feeds), Task(EIGHT.name, EIGHT.duration, (0, 1),
                                                                         EIGHT.reference),
-                                       bench.BOUNDS, horizon=8 + delay, solver=solver(8 + delay), **shared)
+                                       trial.BOUNDS, horizon=8 + delay, solver=solver(8 + delay), **shared)
     z, inputs = np.zeros(len(plant)), []
     for k in range(200):
         one, other = ours(H * k, z[:6]), theirs(H * k, z)
@@ -72,9 +72,9 @@ def test_the_controller_equals_one_for_the_model_extended_by_the_actuators_state
     assert 0.1 < at_a_bound.mean() < 0.9
 
 
-def tracked(bench, controller, actuator, samples=320, hung=0.0, observe=lambda k, y: y):
+def tracked(trial, controller, actuator, samples=320, hung=0.0, observe=lambda k, y: y):
     """(commands (T, 4), rms error of the last 2.2 s, m) on the perturbed oscillators behind an actuator."""
-    plant, acting = bench.ModelPlant(bench.perturbed(bench.oscillators(), 0.03)), _Behind(actuator)
+    plant, acting = trial.ModelPlant(trial.perturbed(trial.oscillators(), 0.03)), _Behind(actuator)
     rng, y, found, errors = np.random.default_rng(0), plant.reset(), [], []
     for k in range(samples):
         found.append(controller(H * k, observe(k, y + hung + 3e-5 * rng.standard_normal(6))))
@@ -101,42 +101,42 @@ SETTINGS = {"period": H, "horizon": 10, "move_weight": 300.0, "input_weight": 20
 
 
 @pytest.mark.parametrize(("actuator", "most"), [(SLOW, 4e-4), (RUBBING, 3e-4)], ids=["delay and lag", "and rubbing"])
-def test_a_controller_that_knows_the_actuator_tracks_and_one_that_does_not_hardly_does(bench, actuator, most):
-    knows, does_not = (bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, **SETTINGS | {"actuator": which})
+def test_a_controller_that_knows_the_actuator_tracks_and_one_that_does_not_hardly_does(trial, actuator, most):
+    knows, does_not = (trial.predictive(trial.oscillators(), EIGHT, trial.BOUNDS, **SETTINGS | {"actuator": which})
                        for which in (actuator, None))
-    commands, error = tracked(bench, knows, actuator)
+    commands, error = tracked(trial, knows, actuator)
     assert error < most
-    assert tracked(bench, does_not, actuator)[1] > 5 * error
+    assert tracked(trial, does_not, actuator)[1] > 5 * error
     assert not knows.fallbacks and all((c.input >= 0).all() and (c.input <= 0.6).all() for c in commands)
 
 
-def test_the_reference_is_reached_from_where_the_robot_hangs_within_the_time_of_the_approach(bench):
+def test_the_reference_is_reached_from_where_the_robot_hangs_within_the_time_of_the_approach(trial):
     """A load moves every output by 2 mm: the first commands do not answer it at once."""
-    at_once, softly = (bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS,
+    at_once, softly = (trial.predictive(trial.oscillators(), EIGHT, trial.BOUNDS,
                                         **SETTINGS | {"actuator": SLOW, "approach": approach})
                        for approach in (0.0, 0.8))
-    jumps = [np.abs(np.diff([c.input for c in tracked(bench, one, SLOW, 60, hung=0.002)[0]], axis=0)).max()
+    jumps = [np.abs(np.diff([c.input for c in tracked(trial, one, SLOW, 60, hung=0.002)[0]], axis=0)).max()
              for one in (at_once, softly)]
     assert jumps[1] < 0.5 * jumps[0]
-    assert tracked(bench, softly, SLOW, hung=0.002)[1] < 5e-4  # time goes back, and the load is known already
+    assert tracked(trial, softly, SLOW, hung=0.002)[1] < 5e-4  # time goes back, and the load is known already
 
 
 @pytest.mark.parametrize("settings", [{}, {"input_rate": 5.0}, {"actuator": RUBBING},
                                       {"actuator": RUBBING, "input_rate": 5.0}, {"input_rate": 5.0, "qp": "daqp"}],
                          ids=["delay and lag", "rate", "rubbing", "rubbing, rate", "rate, daqp"])
-def test_bounds_that_are_narrowed_between_steps_hold_at_once_and_can_be_widened_again(bench, settings):
+def test_bounds_that_are_narrowed_between_steps_hold_at_once_and_can_be_widened_again(trial, settings):
     if settings.get("qp") == "daqp":
         pytest.importorskip("daqp", reason="needs pip install 'ssmr_torch[daqp]'")
     settings = SETTINGS | {"actuator": SLOW, "observer": WATCH} | settings
-    controller, rng = bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, **settings), np.random.default_rng(4)
-    plant, acting = bench.ModelPlant(bench.oscillators()), _Behind(settings["actuator"])
+    controller, rng = trial.predictive(trial.oscillators(), EIGHT, trial.BOUNDS, **settings), np.random.default_rng(4)
+    plant, acting = trial.ModelPlant(trial.oscillators()), _Behind(settings["actuator"])
     y = plant.reset()
     for k in range(240):
         if k % 40 == 20:
-            shut = bench.BOUNDS.copy()
+            shut = trial.BOUNDS.copy()
             shut[0, rng.integers(4)] = 0.3
             shut[:, rng.integers(4)] = rng.uniform(0, 0.6)
-            controller.input_bounds = shut if k % 80 == 20 else bench.BOUNDS
+            controller.input_bounds = shut if k % 80 == 20 else trial.BOUNDS
         command, (lower, upper) = controller(H * k, y), controller.input_bounds
         assert (lower <= command.input).all() and (command.input <= upper).all()
         y = plant.step(acting(command.input))
@@ -144,28 +144,28 @@ def test_bounds_that_are_narrowed_between_steps_hold_at_once_and_can_be_widened_
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))], ids=["copy", "pickle"])
-def test_a_copy_gives_the_same_commands_to_the_last_bit(bench, copied):
-    controller = bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, **SETTINGS | {"actuator": RUBBING})
-    tracked(bench, controller, RUBBING, 80)
+def test_a_copy_gives_the_same_commands_to_the_last_bit(trial, copied):
+    controller = trial.predictive(trial.oscillators(), EIGHT, trial.BOUNDS, **SETTINGS | {"actuator": RUBBING})
+    tracked(trial, controller, RUBBING, 80)
     again, rng = copied(controller), np.random.default_rng(3)
     for k in range(80, 140):
         y = 0.005 * np.sin(0.05 * k + np.arange(6)) + 3e-5 * rng.standard_normal(6)
         np.testing.assert_array_equal(controller(H * k, y).input, again(H * k, y).input)
 
 
-def test_after_a_reset_the_same_measurements_give_the_same_commands_to_the_last_bit(bench):
-    controller = bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, **SETTINGS | {"actuator": RUBBING})
+def test_after_a_reset_the_same_measurements_give_the_same_commands_to_the_last_bit(trial):
+    controller = trial.predictive(trial.oscillators(), EIGHT, trial.BOUNDS, **SETTINGS | {"actuator": RUBBING})
     found = []
     for _ in range(2):
         controller.reset()
-        found.append([c.input for c in tracked(bench, controller, RUBBING, 80, observe=lambda k, y: y + (k == 40))[0]])
+        found.append([c.input for c in tracked(trial, controller, RUBBING, 80, observe=lambda k, y: y + (k == 40))[0]])
         assert controller.counts["gated"] == 1
     np.testing.assert_array_equal(*found)
 
 
 @pytest.mark.parametrize(("actuator", "period"), [(replace(SLOW, input_range=(0.6,) * 3), H),
                                                   (replace(SLOW, timestep=0.02), H), (SLOW, 0.02)])
-def test_an_actuator_with_other_inputs_or_timestep_is_refused_with_both_numbers(bench, actuator, period):
+def test_an_actuator_with_other_inputs_or_timestep_is_refused_with_both_numbers(trial, actuator, period):
     with pytest.raises(ValueError, match=f"the actuator has {len(actuator.input_range)} inputs and steps of "
                                          f"{actuator.timestep:g} s; expected 4 inputs and the timestep 0.01 s"):
-        bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, period=period, actuator=actuator)
+        trial.predictive(trial.oscillators(), EIGHT, trial.BOUNDS, period=period, actuator=actuator)

@@ -26,9 +26,9 @@ def commands(samples=200, seed=0, lowest=0.0, noise=0.05):
     return np.concatenate([np.zeros((1, 4)), np.clip(lowest + (0.6 - lowest) / 0.6 * waves, lowest, 0.6)])
 
 
-def on_a_rig(bench, u, **settings):
+def on_a_rig(trial, u, **settings):
     """Forces (T, 4) that reach the plant, and outputs (T + 1, 6), from a rig that is given u (T, 4)."""
-    robot = Rig(bench.ModelPlant(bench.oscillators()), **settings)
+    robot = Rig(trial.ModelPlant(trial.oscillators()), **settings)
     outputs, applied = [robot.reset()], []
     for command in u:
         outputs.append(robot.step(command))
@@ -41,24 +41,24 @@ def on_a_rig(bench, u, **settings):
     ({"cable_friction": 0.1}, Actuator(H, RANGE, friction=0.1)),
     ({"rate_limit": 3.0}, Actuator(H, RANGE, rate=5.0)),
     ({"rate_limit": 3.0, "actuator_lag": 0.015}, Actuator(H, RANGE, rate=5.0, lag=0.015))])
-def test_the_acting_inputs_equal_those_of_a_rig_step_by_step(bench, settings, actuator):
+def test_the_acting_inputs_equal_those_of_a_rig_step_by_step(trial, settings, actuator):
     u = commands()
-    np.testing.assert_allclose(actuator.acting(u), on_a_rig(bench, u, **settings)[0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(actuator.acting(u), on_a_rig(trial, u, **settings)[0], rtol=0, atol=1e-12)
 
 
-def test_a_delay_of_the_rigs_sensors_counts_as_a_delay_of_the_actuator(bench):
-    u, plain = commands(), bench.ModelPlant(bench.oscillators())
-    _, seen = on_a_rig(bench, u, sensor_delay=0.02, actuator_lag=0.01)
+def test_a_delay_of_the_rigs_sensors_counts_as_a_delay_of_the_actuator(trial):
+    u, plain = commands(), trial.ModelPlant(trial.oscillators())
+    _, seen = on_a_rig(trial, u, sensor_delay=0.02, actuator_lag=0.01)
     acting = Actuator(H, RANGE, delay=2, lag=0.01).acting(u)
     expected = np.array([plain.reset(), *(plain.step(v) for v in acting)])
     np.testing.assert_allclose(seen, expected, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("noise", "share"), [(0.0, 0.05), (0.05, 0.65)])
-def test_friction_before_a_lag_approximates_friction_after_it_better_for_calmer_commands(bench, noise, share):
+def test_friction_before_a_lag_approximates_friction_after_it_better_for_calmer_commands(trial, noise, share):
     """The rig's cables rub behind the motors' lag: another hysteresis. How much of what friction does is missed."""
     u, lag = commands(noise=noise), Actuator(H, RANGE, lag=0.01)
-    there = on_a_rig(bench, u, actuator_lag=0.01, cable_friction=0.1)[0][20:]
+    there = on_a_rig(trial, u, actuator_lag=0.01, cable_friction=0.1)[0][20:]
     missed, whole = (np.sqrt(np.mean((one.acting(u)[20:] - there)**2)) for one in (replace(lag, friction=0.1), lag))
     assert missed < share * whole
 

@@ -26,15 +26,15 @@ def constraints_with(obstacles=(), **options):
     return OutputConstraints(6, N, (0, 1), obstacles, **({"linear": 1e7, "quadratic": 1e9} | options))
 
 
-def problem_of(bench, constraints, **changes):
+def problem_of(trial, constraints, **changes):
     settings = {"reference": lambda time: np.tile([0.012, 0.0, 0, 0, 0, 0], (len(time), 1)),
-                "input_bounds": bench.BOUNDS, "output_weight": 1e8 * np.array([1, 1, 0, 0, 0, 0]),
+                "input_bounds": trial.BOUNDS, "output_weight": 1e8 * np.array([1, 1, 0, 0, 0, 0]),
                 "input_weight": 3.6, "horizon": N, "constraints": constraints}
     return TrackingProblem(**settings | changes)
 
 
-def plan_of(bench, problem, qp="proxqp", **options):
-    horizon = horizon_for(bench.oscillators(), problem)
+def plan_of(trial, problem, qp="proxqp", **options):
+    horizon = horizon_for(trial.oscillators(), problem)
     solver = solver_named(qp, *problem.size, tolerance=1e-8)
     return solve_scp(problem, horizon, np.zeros(6), np.full((N, 4), 0.1), solver,
                      **({"max_iterations": 50, "tolerance": 1e-10} | options))
@@ -134,13 +134,13 @@ def test_the_penalty_counts_every_violation_linearly_and_squared():
 
 @pytest.mark.parametrize("qp", ["proxqp", "daqp"])
 @pytest.mark.parametrize("rate", [None, 8.0])
-def test_a_converged_plan_around_a_circle_is_the_minimum_that_slsqp_finds(bench, qp, rate):
+def test_a_converged_plan_around_a_circle_is_the_minimum_that_slsqp_finds(trial, qp, rate):
     if qp == "daqp":
         pytest.importorskip("daqp", reason="needs pip install 'ssmr_torch[daqp]'")
     circle = Circle((0.006, 0.001), 0.003)
-    problem = problem_of(bench, constraints_with((circle,)), input_rate=rate)
-    plan = plan_of(bench, problem, qp)
-    horizon = horizon_for(bench.oscillators(), problem)
+    problem = problem_of(trial, constraints_with((circle,)), input_rate=rate)
+    plan = plan_of(trial, problem, qp)
+    horizon = horizon_for(trial.oscillators(), problem)
     ahead = problem.constraints.ahead(0.0, problem.period, np.zeros((2, 6)))  # from rest
 
     def outputs(v):
@@ -162,10 +162,10 @@ def test_a_converged_plan_around_a_circle_is_the_minimum_that_slsqp_finds(bench,
     assert cost(start) <= best.fun * (1 + 1e-3)  # the lengths of the pieces are those of the last iterate but one
 
 
-def test_a_bound_that_the_start_violates_is_left_as_fast_as_the_inputs_allow(bench):
+def test_a_bound_that_the_start_violates_is_left_as_fast_as_the_inputs_allow(trial):
     bounds = np.array([[-np.inf] * 6, [-0.004] + [np.inf] * 5])
-    plan = plan_of(bench, problem_of(bench, constraints_with(output_bounds=bounds)))
-    free = plan_of(bench, problem_of(bench, None, reference=lambda time: np.tile([-0.1] + [0.0] * 5, (len(time), 1)),
+    plan = plan_of(trial, problem_of(trial, constraints_with(output_bounds=bounds)))
+    free = plan_of(trial, problem_of(trial, None, reference=lambda time: np.tile([-0.1] + [0.0] * 5, (len(time), 1)),
                                      output_weight=1e8 * np.eye(6)[0]))
     assert plan.qp_status is Status.SOLVED
     assert plan.outputs[0, 0] == pytest.approx(free.outputs[0, 0], abs=2e-5) and plan.outputs[0, 0] > -0.004
@@ -173,7 +173,7 @@ def test_a_bound_that_the_start_violates_is_left_as_fast_as_the_inputs_allow(ben
 
 
 @pytest.mark.parametrize("qp", ["proxqp", "daqp", "qpsolvers:quadprog"])
-def test_the_robot_goes_around_obstacles_that_stand_and_that_move(bench, qp):
+def test_the_robot_goes_around_obstacles_that_stand_and_that_move(trial, qp):
     if qp == "daqp":
         pytest.importorskip("daqp", reason="needs pip install 'ssmr_torch[daqp]'")
     if qp == "qpsolvers:quadprog":
@@ -181,18 +181,18 @@ def test_the_robot_goes_around_obstacles_that_stand_and_that_move(bench, qp):
     moving = Circle(drifting((0.02, -0.02), (-0.01, 0.01)), 0.004)
     obstacles = (*random_circles(1), moving, HalfPlane((0.0, 1.0), 0.012))
     task = replace(figure_eight(laps=1.0), obstacles=obstacles)
-    plant, weight = bench.ModelPlant(bench.oscillators()), 36.0
-    controller = ModelPredictiveController(plant.model, task, bench.BOUNDS, horizon=5, input_weight=weight, qp=qp)
+    plant, weight = trial.ModelPlant(trial.oscillators()), 36.0
+    controller = ModelPredictiveController(plant.model, task, trial.BOUNDS, horizon=5, input_weight=weight, qp=qp)
     record = simulate(plant, controller, task)
     clearance = np.stack([o.clearance(record.time, record.observation[:, :2]) for o in obstacles])
-    blind = simulate(plant, ModelPredictiveController(plant.model, replace(task, obstacles=()), bench.BOUNDS,
+    blind = simulate(plant, ModelPredictiveController(plant.model, replace(task, obstacles=()), trial.BOUNDS,
                                                       input_weight=weight), task)
     without = np.stack([o.clearance(blind.time, blind.observation[:, :2]) for o in obstacles])
     assert without.min() < -3e-3 and clearance.min() > -3e-4
     assert not controller.fallbacks
 
 
-def test_no_program_among_twenty_circles_inherits_the_penalty_of_a_hard_one(bench):
+def test_no_program_among_twenty_circles_inherits_the_penalty_of_a_hard_one(trial):
     """ProxQP's own warm start keeps it: single programs of this run then took 133 iterations."""
     task, iterations = replace(figure_eight(laps=2.0), obstacles=random_circles(0)), []
 
@@ -208,30 +208,30 @@ def test_no_program_among_twenty_circles_inherits_the_penalty_of_a_hard_one(benc
         controller.solver.solve = counted
         return controller
 
-    assert bench.measure(5, build=build, task=task)["failures"] == 0
+    assert trial.measure(5, build=build, task=task)["failures"] == 0
     assert len(iterations) > 150 and max(iterations) < 80
 
 
-def test_a_hard_constraint_is_kept_where_the_soft_one_is_traded_for_tracking(bench):
+def test_a_hard_constraint_is_kept_where_the_soft_one_is_traded_for_tracking(trial):
     circle = (Circle((0.012, 0.002), 0.004),)
-    plans = [plan_of(bench, problem_of(bench, constraints_with(circle, linear=1e2, quadratic=1e2, hard=hard)))
+    plans = [plan_of(trial, problem_of(trial, constraints_with(circle, linear=1e2, quadratic=1e2, hard=hard)))
              for hard in (False, True)]
     assert plans[0].violation > 1e-4 and plans[0].status is not Status.SOFTENED
     assert plans[1].violation < 1e-6 and plans[1].qp_status is Status.SOLVED and plans[1].status is not Status.SOFTENED
 
 
-def test_a_hard_constraint_that_no_input_can_keep_is_softened_and_reported(bench):
+def test_a_hard_constraint_that_no_input_can_keep_is_softened_and_reported(trial):
     bounds = np.array([[-np.inf] * 6, [-0.004] + [np.inf] * 5])
-    plans = [plan_of(bench, problem_of(bench, constraints_with(output_bounds=bounds, hard=hard)))
+    plans = [plan_of(trial, problem_of(trial, constraints_with(output_bounds=bounds, hard=hard)))
              for hard in (False, True)]
     assert plans[1].status is Status.SOFTENED and plans[1].qp_status is Status.SOLVED
     assert plans[1].violation == pytest.approx(plans[0].violation, rel=0.1) and plans[1].violation > 1e-3
 
 
-def test_the_record_and_its_metrics_hold_the_violations_of_the_plans(bench, tmp_path):
+def test_the_record_and_its_metrics_hold_the_violations_of_the_plans(trial, tmp_path):
     task = replace(figure_eight(laps=1.0), obstacles=(Circle((0.0, 0.0), 0.003),))  # the robot starts inside
-    plant = bench.ModelPlant(bench.oscillators())
-    controller = ModelPredictiveController(plant.model, task, bench.BOUNDS, hard_constraints=True)
+    plant = trial.ModelPlant(trial.oscillators())
+    controller = ModelPredictiveController(plant.model, task, trial.BOUNDS, hard_constraints=True)
     record = simulate(plant, controller, task)
     found = closed_loop_metrics(ClosedLoopRecord.load(record.save(tmp_path / "record.h5")), task.obstacles)
     assert np.isnan(record.violation[1::2]).all() and record.violation[0] > 1e-3
@@ -239,12 +239,12 @@ def test_the_record_and_its_metrics_hold_the_violations_of_the_plans(bench, tmp_
     assert record.statuses[0] == "SOFTENED" and not record.fallback.any()
 
 
-def test_margins_keep_the_robot_that_much_further_away(bench):
+def test_margins_keep_the_robot_that_much_further_away(trial):
     circle = Circle((0.0106, -0.0125), 0.004)
     task, found = replace(figure_eight(laps=1.0), obstacles=(circle,)), []
     for margin in (0.0, 0.001):
-        plant = bench.ModelPlant(bench.oscillators())
-        controller = ModelPredictiveController(plant.model, task, bench.BOUNDS, margins=np.full(5, margin))
+        plant = trial.ModelPlant(trial.oscillators())
+        controller = ModelPredictiveController(plant.model, task, trial.BOUNDS, margins=np.full(5, margin))
         record = simulate(plant, controller, task)
         found.append(circle.clearance(record.time, record.observation[:, :2]).min())
     assert found[1] - found[0] == pytest.approx(0.001, abs=2e-4)

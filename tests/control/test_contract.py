@@ -40,28 +40,28 @@ def arcs(model):
 
 
 CONTROLLERS = {
-    "predictive": lambda bench: ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS),
-    "predictive, rate limited": lambda bench: ModelPredictiveController(
-        bench.oscillators(), TASK, bench.BOUNDS, input_rate=5.0, horizon=3),
-    "predictive, converged": lambda bench: ModelPredictiveController(
-        bench.oscillators(), TASK, bench.BOUNDS, iterations=10, period=0.03),
-    "predictive, observed": lambda bench: ModelPredictiveController(
-        bench.oscillators(), TASK, bench.BOUNDS, observer=partial(KalmanObserver, disturbance="input", extended=True)),
-    "predictive, beside an obstacle": lambda bench: ModelPredictiveController(
-        bench.oscillators(), replace(TASK, obstacles=(Circle((0.0, 0.013), 0.002),)), bench.BOUNDS, input_rate=10.0),
-    "predictive, by DAQP": lambda bench: ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS, qp="daqp"),
-    "predictive, arcs as outputs": lambda bench: ModelPredictiveController(arcs(bench.oscillators()), TASK,
-                                                                           bench.BOUNDS),
-    "predictive, arcs, observed": lambda bench: ModelPredictiveController(
-        arcs(bench.oscillators()), TASK, bench.BOUNDS, observer=partial(KalmanObserver, extended=True)),
-    "static pregain": lambda bench: StaticPregainController(lifted(bench.oscillators()), SLOW, bench.BOUNDS,
+    "predictive": lambda trial: ModelPredictiveController(trial.oscillators(), TASK, trial.BOUNDS),
+    "predictive, rate limited": lambda trial: ModelPredictiveController(
+        trial.oscillators(), TASK, trial.BOUNDS, input_rate=5.0, horizon=3),
+    "predictive, converged": lambda trial: ModelPredictiveController(
+        trial.oscillators(), TASK, trial.BOUNDS, iterations=10, period=0.03),
+    "predictive, observed": lambda trial: ModelPredictiveController(
+        trial.oscillators(), TASK, trial.BOUNDS, observer=partial(KalmanObserver, disturbance="input", extended=True)),
+    "predictive, beside an obstacle": lambda trial: ModelPredictiveController(
+        trial.oscillators(), replace(TASK, obstacles=(Circle((0.0, 0.013), 0.002),)), trial.BOUNDS, input_rate=10.0),
+    "predictive, by DAQP": lambda trial: ModelPredictiveController(trial.oscillators(), TASK, trial.BOUNDS, qp="daqp"),
+    "predictive, arcs as outputs": lambda trial: ModelPredictiveController(arcs(trial.oscillators()), TASK,
+                                                                           trial.BOUNDS),
+    "predictive, arcs, observed": lambda trial: ModelPredictiveController(
+        arcs(trial.oscillators()), TASK, trial.BOUNDS, observer=partial(KalmanObserver, extended=True)),
+    "static pregain": lambda trial: StaticPregainController(lifted(trial.oscillators()), SLOW, trial.BOUNDS,
                                                             input_weight=3.6e4),
 }
 
 
 @pytest.fixture(params=CONTROLLERS)
-def controller(request, bench):
-    return CONTROLLERS[request.param](bench)
+def controller(request, trial):
+    return CONTROLLERS[request.param](trial)
 
 
 def measurements(count=60):
@@ -86,23 +86,23 @@ def test_the_same_measurements_give_the_same_inputs_to_the_last_bit_after_a_rese
         np.testing.assert_array_equal(inputs_of(controller, measurements()), first)
 
 
-def test_a_reset_controller_and_fresh_ones_agree_to_the_last_bit_wherever_their_memory_lies(bench, request, controller):
+def test_a_reset_controller_and_fresh_ones_agree_to_the_last_bit_wherever_their_memory_lies(trial, request, controller):
     inputs_of(controller, measurements())
     controller.reset()
     inputs, kept = inputs_of(controller, measurements()), []
     for size in (1, 333, 70):
-        kept.append((np.empty(size), CONTROLLERS[request.node.callspec.params["controller"]](bench)))
+        kept.append((np.empty(size), CONTROLLERS[request.node.callspec.params["controller"]](trial)))
         np.testing.assert_array_equal(inputs_of(kept[-1][1], measurements()), inputs)
 
 
 @pytest.mark.parametrize("spoilt", [np.nan, np.inf, -np.inf, 1e30, 1e300, 10.0])
-def test_inputs_are_finite_and_inside_the_bounds_whatever_is_measured(controller, bench, spoilt):
+def test_inputs_are_finite_and_inside_the_bounds_whatever_is_measured(controller, trial, spoilt):
     observations = measurements()
     observations[20:30, 1] = spoilt
     observations[40:] = spoilt
     inputs = inputs_of(controller, observations)
     assert inputs.shape == (60, 4) and np.isfinite(inputs).all()
-    assert (bench.BOUNDS[0] <= inputs).all() and (inputs <= bench.BOUNDS[1]).all()
+    assert (trial.BOUNDS[0] <= inputs).all() and (inputs <= trial.BOUNDS[1]).all()
 
 
 def test_arrays_of_the_caller_are_not_changed_and_returned_arrays_are_copies(controller):
@@ -125,7 +125,7 @@ def test_read_only_and_single_precision_measurements_are_accepted(controller):
     assert np.isfinite(controller(0.0, observation).input).all()
 
 
-def test_the_plant_follows_the_task(controller, bench):
-    record = simulate(bench.ModelPlant(bench.oscillators()), controller, controller.task)
+def test_the_plant_follows_the_task(controller, trial):
+    record = simulate(trial.ModelPlant(trial.oscillators()), controller, controller.task)
     assert np.abs(record.error).max() < 0.25 * np.abs(record.reference).max()
     assert not record.fallback.any()

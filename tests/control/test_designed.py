@@ -18,8 +18,8 @@ from ssmr_torch.targets import build, written
 
 
 @pytest.fixture(scope="module")
-def plant(bench):
-    return bench.ModelPlant(bench.perturbed(bench.oscillators(), 0.03))
+def plant(trial):
+    return trial.ModelPlant(trial.perturbed(trial.oscillators(), 0.03))
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def test_another_task_of_the_same_outputs_is_taken_and_others_are_refused_with_b
             refuse(tasks.rose(tracked=["y0", "y2"]))
 
 
-def test_commands_stay_within_the_robots_bounds_and_the_designs(saved, plant, bench):
+def test_commands_stay_within_the_robots_bounds_and_the_designs(saved, plant, trial):
     controller = ssmr.load(saved).controller(bounds=[[-1.0] * 4, [0.3, 0.6, 5.0, 0.6]])
     np.testing.assert_array_equal(controller.input_bounds, [[0.0] * 4, [0.3, 0.6, 0.6, 0.6]])
     np.testing.assert_array_equal(controller.changed().input_bounds, controller.input_bounds)
@@ -134,10 +134,10 @@ def test_commands_stay_within_the_robots_bounds_and_the_designs(saved, plant, be
         ssmr.load(saved).controller(bounds=[[2.0] * 4, [3.0] * 4])
 
 
-def test_an_artifact_without_a_controller_says_what_to_run(bench, tmp_path):
-    model = bench.oscillators()
+def test_an_artifact_without_a_controller_says_what_to_run(trial, tmp_path):
+    model = trial.oscillators()
     artifact.save(tmp_path / "bare", model, output_names=list("abcdef"), input_names=list("ghij"), rest=[0.0] * 6,
-                  input_range=bench.BOUNDS)
+                  input_range=trial.BOUNDS)
     with pytest.raises(ValueError, match="has no designed controller; run ssmr design data.path=FILE.h5"):
         ssmr.load(tmp_path / "bare").controller()
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from ssmr_torch.control.disturbance_observer import DisturbanceObserver
-from ssmr_torch.control.stepping import Stepper
+from ssmr_torch.control.model_step import Stepper
 from ssmr_torch.models.monomials import graded
 
 NOISE, LIMIT = 1e-5, 0.05
@@ -32,9 +32,9 @@ def observer_of(model, **changes):
     return DisturbanceObserver(model, **settings | changes)
 
 
-def linear(bench):
+def linear(trial):
     """Coordinates and their rates, of which the three coordinates are measured."""
-    model = bench.oscillators(0, 1, 0)
+    model = trial.oscillators(0, 1, 0)
     return replace(model, chart=np.eye(6)[:, :3], parametrization=np.eye(6)[:3], output_dim=3,
                    structure=model.structure._replace(chart=graded(3, 1, 1), window_order=(0, 1, 2)))
 
@@ -49,8 +49,8 @@ def driven(model, samples, load=0.0, seed=0):
     return inputs, np.array(outputs)
 
 
-def test_the_first_measurement_is_of_a_robot_at_rest_under_what_acts_and_the_rest_of_it_is_disturbance(bench):
-    model, v = bench.oscillators(degree=2), np.array([0.2, 0.05, 0.0, 0.1])
+def test_the_first_measurement_is_of_a_robot_at_rest_under_what_acts_and_the_rest_of_it_is_disturbance(trial):
+    model, v = trial.oscillators(degree=2), np.array([0.2, 0.05, 0.0, 0.1])
     observer, z = observer_of(model), np.zeros(6)
     for _ in range(3000):
         z = model.step(z, v)
@@ -62,8 +62,8 @@ def test_the_first_measurement_is_of_a_robot_at_rest_under_what_acts_and_the_res
     assert offset is None and not observer.counts
 
 
-def test_a_load_from_the_start_is_known_at_once_and_stays_known(bench):
-    model, load = linear(bench), np.array([0.027, -0.01, 0.004])
+def test_a_load_from_the_start_is_known_at_once_and_stays_known(trial):
+    model, load = linear(trial), np.array([0.027, -0.01, 0.004])
     observer = observer_of(model)
     inputs, outputs = driven(model, 400, load)
     for v, y in zip(inputs, outputs):
@@ -73,9 +73,9 @@ def test_a_load_from_the_start_is_known_at_once_and_stays_known(bench):
 
 
 @pytest.mark.parametrize("where", ["outputs", "inputs"])
-def test_a_load_that_is_added_later_is_estimated_without_bias(bench, where):
+def test_a_load_that_is_added_later_is_estimated_without_bias(trial, where):
     """At rest, w(z) + d is the mean of what is measured; and d is the load where that is one of the outputs."""
-    model, load, v = linear(bench), np.array([0.005, -0.003, 0.002]), np.array([0.2, 0.0, 0.1, 0.0])
+    model, load, v = linear(trial), np.array([0.005, -0.003, 0.002]), np.array([0.2, 0.0, 0.1, 0.0])
     pull, rng, z, sums, most = np.array([0.02, 0.0, 0.0, 0.01]), np.random.default_rng(1), np.zeros(6), [], 6000
     observer = observer_of(model)
     for k in range(most):
@@ -95,8 +95,8 @@ def test_a_load_that_is_added_later_is_estimated_without_bias(bench, where):
 
 @pytest.mark.parametrize("at", [1, 5, 200])
 @pytest.mark.parametrize("size", [0.05, 1.0, 1e6])
-def test_a_single_outlier_is_left_out_and_over_after_three_samples(bench, at, size):
-    model = linear(bench)
+def test_a_single_outlier_is_left_out_and_over_after_three_samples(trial, at, size):
+    model = linear(trial)
     inputs, outputs = driven(model, 260)
     clean, spoilt = observer_of(model), observer_of(model)
     for k, (v, y) in enumerate(zip(inputs, outputs)):
@@ -107,16 +107,16 @@ def test_a_single_outlier_is_left_out_and_over_after_three_samples(bench, at, si
     assert spoilt.counts == {"gated": 1} and not clean.counts
 
 
-def test_a_robot_that_has_really_moved_is_accepted_after_three_samples(bench):
-    model, observer = linear(bench), observer_of(linear(bench))
+def test_a_robot_that_has_really_moved_is_accepted_after_three_samples(trial):
+    model, observer = linear(trial), observer_of(linear(trial))
     for k in range(700):
         observer.measure(np.full(3, 0.0 if k < 600 else 0.02), np.zeros(4))
     z, _, d = observer.state()
     assert observer.counts == {"gated": 3} and np.abs(model.decode(z) + d - 0.02).max() < 1e-3
 
 
-def test_missing_samples_are_bridged_by_the_model_and_counted_by_the_controller(bench):
-    model, observer, rng = linear(bench), observer_of(linear(bench)), np.random.default_rng(2)
+def test_missing_samples_are_bridged_by_the_model_and_counted_by_the_controller(trial):
+    model, observer, rng = linear(trial), observer_of(linear(trial)), np.random.default_rng(2)
     inputs, outputs = driven(model, 500, np.full(3, 0.004))
     lost = rng.uniform(size=500) < 0.3
     lost[:3], lost[250:300] = [True, True, False], True
@@ -128,8 +128,8 @@ def test_missing_samples_are_bridged_by_the_model_and_counted_by_the_controller(
     assert not observer.counts  # the controller's sampling counts them, and the two are added
 
 
-def test_after_a_gap_in_time_the_disturbance_is_kept_and_the_state_is_found_again(bench):
-    model, load = linear(bench), np.array([0.02, -0.01, 0.004])
+def test_after_a_gap_in_time_the_disturbance_is_kept_and_the_state_is_found_again(trial):
+    model, load = linear(trial), np.array([0.02, -0.01, 0.004])
     observer, (inputs, outputs) = observer_of(model), driven(model, 300, load)
     for k in (*range(100), *range(170, 300)):
         if k == 170:
@@ -139,16 +139,16 @@ def test_after_a_gap_in_time_the_disturbance_is_kept_and_the_state_is_found_agai
     assert np.abs(model.decode(observer.state()[0]) + load - outputs[-1]).max() < 30 * NOISE
 
 
-def test_before_the_first_whole_measurement_there_is_no_disturbance(bench):
-    model, observer = linear(bench), observer_of(linear(bench))
+def test_before_the_first_whole_measurement_there_is_no_disturbance(trial):
+    model, observer = linear(trial), observer_of(linear(trial))
     inputs, outputs = driven(model, 20, np.full(3, 0.02))
     for k in range(20):
         observer.measure(outputs[k] if k >= 12 else np.array([0.02, np.nan, 0.02]), inputs[k])
         assert np.abs(observer.state()[2] - (0.02 if k >= 12 else 0.0)).max() < 20 * NOISE
 
 
-def test_a_mispredicting_state_outside_the_recorded_range_restarts_from_the_chart_and_keeps_the_disturbance(bench):
-    model = bench.oscillators(0, 1, 0)
+def test_a_mispredicting_state_outside_the_recorded_range_restarts_from_the_chart_and_keeps_the_disturbance(trial):
+    model = trial.oscillators(0, 1, 0)
     observer, y = observer_of(model, gain=np.vstack([0.05 * np.eye(6), np.zeros((6, 6))])), np.full(6, 0.003)
     observer.measure(y, np.zeros(4))
     samples = 0  # it takes ten, and the gate is shut at first
@@ -162,8 +162,8 @@ def test_a_mispredicting_state_outside_the_recorded_range_restarts_from_the_char
     np.testing.assert_allclose(d, y, atol=1e-12)
 
 
-def test_a_model_that_leaves_its_range_at_rest_starts_at_the_charts_state(bench):
-    model = bench.oscillators(0, 1, 0)
+def test_a_model_that_leaves_its_range_at_rest_starts_at_the_charts_state(trial):
+    model = trial.oscillators(0, 1, 0)
     z, y = observer_of(model).rest(np.array([9.0, 0.0, 0.0, 0.0]))
     np.testing.assert_allclose(z, np.zeros(6))
     np.testing.assert_allclose(y, np.zeros(6))
@@ -171,8 +171,8 @@ def test_a_model_that_leaves_its_range_at_rest_starts_at_the_charts_state(bench)
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))], ids=["copy", "pickle"])
 @pytest.mark.parametrize("degree", [1, 3])
-def test_a_copy_goes_on_as_the_original_does(bench, copied, degree):
-    model = bench.oscillators(0, degree, int(degree > 1))
+def test_a_copy_goes_on_as_the_original_does(trial, copied, degree):
+    model = trial.oscillators(0, degree, int(degree > 1))
     observer, (inputs, outputs) = observer_of(model), driven(model, 200)
     for v, y in zip(inputs[:100], outputs[:100]):
         observer.measure(y, v)
@@ -183,8 +183,8 @@ def test_a_copy_goes_on_as_the_original_does(bench, copied, degree):
         np.testing.assert_array_equal(np.concatenate(observer.state()[::2]), np.concatenate(again.state()[::2]))
 
 
-def test_after_a_reset_the_same_measurements_give_the_same_state_to_the_last_bit(bench):
-    model = bench.oscillators()
+def test_after_a_reset_the_same_measurements_give_the_same_state_to_the_last_bit(trial):
+    model = trial.oscillators()
     observer, (inputs, outputs), found = observer_of(model), driven(model, 100), []
     for _ in range(2):
         observer.reset()
@@ -196,14 +196,14 @@ def test_after_a_reset_the_same_measurements_give_the_same_state_to_the_last_bit
     assert found[0][2] == found[1][2] == {"gated": 1}
 
 
-def test_the_steps_of_a_compiled_model_are_its_own(bench):
-    for model in (bench.oscillators(), bench.oscillators(0, 1, 0)):
+def test_the_steps_of_a_compiled_model_are_its_own(trial):
+    for model in (trial.oscillators(), trial.oscillators(0, 1, 0)):
         z, u = 0.01 * np.arange(6.0), np.array([0.1, 0.2, 0.3, 0.0])
         following, output = Stepper(model)(z, u)
         np.testing.assert_allclose(following, model.step(z, u), rtol=1e-12)
         np.testing.assert_allclose(output, model.decode(model.step(z, u)), rtol=1e-12)
 
 
-def test_sizes_that_do_not_fit_the_model_are_refused_with_both_shapes(bench):
+def test_sizes_that_do_not_fit_the_model_are_refused_with_both_shapes(trial):
     with pytest.raises(ValueError, match=r"gain has shape \(6, 6\).*expected \(12, 6\)"):
-        observer_of(bench.oscillators(), gain=np.eye(6))
+        observer_of(trial.oscillators(), gain=np.eye(6))

@@ -12,9 +12,9 @@ from ssmr_torch.models.named_structures import control_augmented, control_augmen
 from ssmr_torch.models.output_coordinates import ConstantCurvature, Identity, Mixture
 
 
-def problem_of(bench, horizon=6, **changes):
+def problem_of(trial, horizon=6, **changes):
     settings = {"reference": lambda time: 0.01 * np.sin(3 * time[:, None] + np.arange(6)),
-                "input_bounds": bench.BOUNDS, "output_weight": 1e8 * np.array([1, 2, 0, 0, 0.1, 0]),
+                "input_bounds": trial.BOUNDS, "output_weight": 1e8 * np.array([1, 2, 0, 0, 0.1, 0]),
                 "terminal_weight": 3e7, "input_weight": np.array([3.6, 1.8, 7.2, 3.6]), "horizon": horizon}
     return TrackingProblem(**settings | changes)
 
@@ -26,8 +26,8 @@ def point_of(seed, horizon=6):
 
 @pytest.mark.parametrize("degrees", [(1, 0), (2, 1), (3, 1), (3, 2), (1, 2)])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_compiled_kernel_equals_its_numpy_twin(bench, degrees, seed):
-    model, problem = bench.oscillators(seed, *degrees), problem_of(bench)
+def test_the_compiled_kernel_equals_its_numpy_twin(trial, degrees, seed):
+    model, problem = trial.oscillators(seed, *degrees), problem_of(trial)
     state, inputs = point_of(seed)
     reference = problem.reference_ahead(0.3)
     kernel, twin = horizon_for(model, problem), LinearizedHorizon(model.at_timestep(problem.period), problem)
@@ -38,13 +38,13 @@ def test_the_compiled_kernel_equals_its_numpy_twin(bench, degrees, seed):
         assert np.abs(ours - theirs).max() <= 1e-12 * np.abs(theirs).max()
 
 
-def test_the_kernel_equals_its_twin_for_a_curved_output_with_substeps(bench):
+def test_the_kernel_equals_its_twin_for_a_curved_output_with_substeps(trial):
     rng = np.random.default_rng(0)
-    model = bench.oscillators(0, 2, 1)
+    model = trial.oscillators(0, 2, 1)
     curved = np.hstack([np.eye(6), 3.0 * rng.standard_normal((6, 77))])
     model = replace(model, parametrization=curved, substeps=3,
                     structure=model.structure._replace(parametrization=graded(6, 1, 3)))
-    problem = problem_of(bench)
+    problem = problem_of(trial)
     state, inputs = point_of(1)
     reference = problem.reference_ahead(0.0)
     kernel, twin = horizon_for(model, problem), LinearizedHorizon(model.at_timestep(problem.period), problem)
@@ -87,9 +87,9 @@ def lifted(rng, bilinear, relift, constant=True, repeats=2):
     (LinearHorizon, lambda rng: lifted(rng, False, False)),
     (LinearHorizon, lambda rng: lifted(rng, False, False, constant=False)),
     (LinearizedHorizon, lambda rng: lifted(rng, True, True, constant=False))])
-def test_models_in_discrete_time_get_the_fastest_horizon_and_it_equals_the_batched_one(bench, kind, make):
+def test_models_in_discrete_time_get_the_fastest_horizon_and_it_equals_the_batched_one(trial, kind, make):
     rng = np.random.default_rng(5)
-    model, problem = make(rng), problem_of(bench)
+    model, problem = make(rng), problem_of(trial)
     horizon, twin = horizon_for(model, problem), LinearizedHorizon(model.at_timestep(problem.period), problem)
     assert type(horizon) is kind
     state, inputs = 0.05 * rng.standard_normal(model.state_dim), rng.uniform(0, 0.6, (6, 4))
@@ -110,7 +110,7 @@ PLANAR = ConstantCurvature(((0.05, 0.0), (0.0, 0.03), (0.02, 0.02)))
     ARCS, PLANAR, Identity(6), Mixture((PLANAR, Identity(6), ARCS), (0.5, 0.2, 0.3), 6),
     Mixture((Mixture((ARCS, Identity(6)), (0.5, 0.5), 6), PLANAR), (0.25, 0.75), 6)],
     ids=["arcs", "arcs in a plane", "identity", "mixture", "mixture within"])
-def test_the_kernel_computes_output_coordinates_as_the_model_does(bench, coordinates):
+def test_the_kernel_computes_output_coordinates_as_the_model_does(trial, coordinates):
     rng, sides = np.random.default_rng(3), coordinates.latent(6) // 6
     model = joint(rng, 2, 2, 2, True, edge=0.02)
     model = replace(model, coordinates=coordinates, reach=2.0, chart=np.tile(np.eye(6), (1, sides)) / sides,
@@ -118,7 +118,7 @@ def test_the_kernel_computes_output_coordinates_as_the_model_does(bench, coordin
                                                        window_order=tuple(range(6 * sides))),
                     parametrization=np.concatenate([model.parametrization + 0.5 * rng.standard_normal(
                         model.parametrization.shape) for _ in range(sides)]))
-    problem = problem_of(bench)
+    problem = problem_of(trial)
     kernel, twin = horizon_for(model, problem), LinearizedHorizon(model.at_timestep(problem.period), problem)
     assert type(kernel) is CompiledHorizon
     for size in (0.0, 0.03, 0.1):
@@ -129,8 +129,8 @@ def test_the_kernel_computes_output_coordinates_as_the_model_does(bench, coordin
             assert ours.shape == theirs.shape and np.abs(ours - theirs).max() <= 1e-12 * np.abs(theirs).max()
 
 
-def test_a_linear_point_that_is_moved_is_the_point_condensed_there(bench):
-    model, problem = bench.oscillators(3, 1, 0), problem_of(bench)
+def test_a_linear_point_that_is_moved_is_the_point_condensed_there(trial):
+    model, problem = trial.oscillators(3, 1, 0), problem_of(trial)
     for horizon in (horizon_for(model, problem), LinearizedHorizon(model.at_timestep(problem.period), problem)):
         (state, inputs), other = point_of(1), point_of(2)[0]
         reference, later = problem.reference_ahead(0.1), problem.reference_ahead(0.4)
@@ -140,8 +140,8 @@ def test_a_linear_point_that_is_moved_is_the_point_condensed_there(bench):
         np.testing.assert_allclose(moved.gradient, there.gradient, rtol=1e-9, atol=1e-9)
 
 
-def test_the_gradient_is_that_of_the_cost_of_the_rollout(bench):
-    model, problem = bench.oscillators(2), problem_of(bench)
+def test_the_gradient_is_that_of_the_cost_of_the_rollout(trial):
+    model, problem = trial.oscillators(2), problem_of(trial)
     horizon, reference = horizon_for(model, problem), problem.reference_ahead(0.1)
     state, inputs = point_of(2)
 
@@ -161,9 +161,9 @@ def test_the_gradient_is_that_of_the_cost_of_the_rollout(bench):
 
 
 @pytest.mark.parametrize("degrees", [(1, 0), (3, 1)])
-def test_the_feedback_phase_of_a_linear_model_is_the_program_itself(bench, degrees):
+def test_the_feedback_phase_of_a_linear_model_is_the_program_itself(trial, degrees):
     """Moved to another state and reference, and back: what was condensed there."""
-    model, problem = bench.oscillators(0, *degrees), problem_of(bench)
+    model, problem = trial.oscillators(0, *degrees), problem_of(trial)
     horizon, (state, inputs) = horizon_for(model, problem), point_of(3)
     here, other = horizon.condense(state, inputs, problem.reference_ahead(0.1)), problem.reference_ahead(0.4)
     moved = horizon.moved(here, state + 1e-4, inputs, other)
@@ -178,8 +178,8 @@ def test_the_feedback_phase_of_a_linear_model_is_the_program_itself(bench, degre
         assert np.abs(found - expected).max() <= 1e-11 * np.abs(expected).max(), name
 
 
-def test_the_hessian_is_that_of_the_cost_when_the_model_is_linear(bench):
-    model, problem = bench.oscillators(3, 1, 0), problem_of(bench)
+def test_the_hessian_is_that_of_the_cost_when_the_model_is_linear(trial):
+    model, problem = trial.oscillators(3, 1, 0), problem_of(trial)
     horizon, reference = horizon_for(model, problem), problem.reference_ahead(0.1)
     state, inputs = point_of(3)
     other = np.random.default_rng(9).uniform(0, 0.6, inputs.shape)
@@ -191,25 +191,25 @@ def test_the_hessian_is_that_of_the_cost_when_the_model_is_linear(bench):
 
 
 @pytest.mark.parametrize("horizon", [1, 5, 20])
-def test_the_hessian_is_symmetric_and_at_least_twice_the_identity(bench, horizon):
-    model, problem = bench.oscillators(4), problem_of(bench, horizon)
+def test_the_hessian_is_symmetric_and_at_least_twice_the_identity(trial, horizon):
+    model, problem = trial.oscillators(4), problem_of(trial, horizon)
     state, inputs = point_of(4, horizon)
     hessian = horizon_for(model, problem).condense(state, inputs, problem.reference_ahead(0.0)).hessian
     np.testing.assert_array_equal(hessian, hessian.T)
     assert np.linalg.eigvalsh(hessian)[0] >= 2.0 * (1 - 1e-9)
 
 
-def test_a_diverging_rollout_is_not_hidden(bench):
-    problem = problem_of(bench, 20)
+def test_a_diverging_rollout_is_not_hidden(trial):
+    problem = problem_of(trial, 20)
     with np.errstate(all="ignore"):
-        states, _ = horizon_for(bench.oscillators(0), problem).rollout(np.full(6, 1e3), np.zeros((20, 4)))
+        states, _ = horizon_for(trial.oscillators(0), problem).rollout(np.full(6, 1e3), np.zeros((20, 4)))
     assert not np.isfinite(states).all()
 
 
-def test_a_model_of_other_sizes_is_refused(bench):
-    problem = problem_of(bench, output_weight=np.ones(3), terminal_weight=0.0)
+def test_a_model_of_other_sizes_is_refused(trial):
+    problem = problem_of(trial, output_weight=np.ones(3), terminal_weight=0.0)
     with pytest.raises(ValueError, match="6 outputs; expected 4 and 3"):
-        horizon_for(bench.oscillators(), problem)
+        horizon_for(trial.oscillators(), problem)
 
 
 @pytest.mark.parametrize("changes, message", [
@@ -222,11 +222,11 @@ def test_a_model_of_other_sizes_is_refused(bench):
     ({"horizon": 0}, "positive number of control steps"),
     ({"period": 0.0}, "positive time"),
 ])
-def test_an_impossible_problem_is_refused(bench, changes, message):
+def test_an_impossible_problem_is_refused(trial, changes, message):
     with pytest.raises(ValueError, match=message):
-        problem_of(bench, **changes)
+        problem_of(trial, **changes)
 
 
-def test_a_reference_of_another_shape_is_refused(bench):
+def test_a_reference_of_another_shape_is_refused(trial):
     with pytest.raises(ValueError, match="one row per time"):
-        problem_of(bench, reference=lambda time: np.zeros((len(time), 2))).reference_ahead(0.0)
+        problem_of(trial, reference=lambda time: np.zeros((len(time), 2))).reference_ahead(0.0)

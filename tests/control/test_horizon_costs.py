@@ -20,16 +20,16 @@ HORIZONS = {"compiled": ((3, 1), CompiledHorizon), "linearized": ((3, 1), Linear
             "linear": ((1, 0), LinearHorizon)}
 
 
-def problem_of(bench, **changes):
+def problem_of(trial, **changes):
     settings = {"reference": lambda time: 0.01 * np.sin(3 * time[:, None] + np.arange(6)),
-                "input_bounds": bench.BOUNDS, "output_weight": 1e8 * TRACKED, "terminal_weight": 3e7 * TRACKED,
+                "input_bounds": trial.BOUNDS, "output_weight": 1e8 * TRACKED, "terminal_weight": 3e7 * TRACKED,
                 "input_weight": np.array([3.6, 1.8, 7.2, 3.6]), "horizon": N}
     return TrackingProblem(**settings | changes)
 
 
-def horizon_of(bench, kind, problem, actuator=LAG):
+def horizon_of(trial, kind, problem, actuator=LAG):
     degrees, expected = HORIZONS[kind]
-    model = bench.oscillators(2, *degrees)
+    model = trial.oscillators(2, *degrees)
     horizon = LinearizedHorizon(model.at_timestep(problem.period), problem, actuator) if expected is LinearizedHorizon \
         else horizon_for(model, problem, actuator)
     assert type(horizon) is expected
@@ -53,9 +53,9 @@ def differences(function, v, step):
 @pytest.mark.parametrize("kind", HORIZONS)
 @pytest.mark.parametrize("costs", COSTS.values(), ids=COSTS)
 @pytest.mark.parametrize("started", [True, False])
-def test_the_gradient_is_that_of_the_cost_of_the_rollout(bench, kind, costs, started):
-    problem = problem_of(bench, **costs)
-    horizon, (state, inputs), reference = horizon_of(bench, kind, problem), point_of(2), problem.reference_ahead(0.1)
+def test_the_gradient_is_that_of_the_cost_of_the_rollout(trial, kind, costs, started):
+    problem = problem_of(trial, **costs)
+    horizon, (state, inputs), reference = horizon_of(trial, kind, problem), point_of(2), problem.reference_ahead(0.1)
     if not started:
         horizon.last_input = None
 
@@ -76,10 +76,10 @@ def test_the_gradient_is_that_of_the_cost_of_the_rollout(bench, kind, costs, sta
 
 @pytest.mark.parametrize("kind", HORIZONS)
 @pytest.mark.parametrize("costs", COSTS.values(), ids=COSTS)
-def test_the_hessian_is_that_of_gauss_and_newton_with_the_outputs_own_derivatives(bench, kind, costs):
+def test_the_hessian_is_that_of_gauss_and_newton_with_the_outputs_own_derivatives(trial, kind, costs):
     """2 (Σ Y_kᵀ ρ'_k Q_k Y_k + R + Dᵀ S D) / cost_scale, with ∂y/∂v by differences of the rollout."""
-    problem = problem_of(bench, **costs)
-    horizon, (state, inputs), reference = horizon_of(bench, kind, problem), point_of(3), problem.reference_ahead(0.1)
+    problem = problem_of(trial, **costs)
+    horizon, (state, inputs), reference = horizon_of(trial, kind, problem), point_of(3), problem.reference_ahead(0.1)
     found = horizon.condense(state, inputs, reference)
 
     def outputs(v):
@@ -99,9 +99,9 @@ def test_the_hessian_is_that_of_gauss_and_newton_with_the_outputs_own_derivative
     assert np.linalg.eigvalsh(found.hessian)[0] >= 2.0 * (1 - 1e-9)
 
 
-def test_the_hessian_is_that_of_the_cost_when_the_model_is_linear(bench):
-    problem = problem_of(bench, **COSTS["moves"], input_target=np.full(4, 0.1))
-    horizon, reference = horizon_of(bench, "linear", problem), problem.reference_ahead(0.1)
+def test_the_hessian_is_that_of_the_cost_when_the_model_is_linear(trial):
+    problem = problem_of(trial, **COSTS["moves"], input_target=np.full(4, 0.1))
+    horizon, reference = horizon_of(trial, "linear", problem), problem.reference_ahead(0.1)
     state, inputs = point_of(3)
     other = np.random.default_rng(9).uniform(0, 0.6, inputs.shape)
     here, there = (horizon.condense(state, u, reference) for u in (inputs, other))
@@ -111,27 +111,27 @@ def test_the_hessian_is_that_of_the_cost_when_the_model_is_linear(bench):
 
 
 @pytest.mark.parametrize("costs", COSTS.values(), ids=COSTS)
-def test_the_compiled_horizon_equals_its_numpy_twin(bench, costs):
-    problem = problem_of(bench, **costs)
+def test_the_compiled_horizon_equals_its_numpy_twin(trial, costs):
+    problem = problem_of(trial, **costs)
     (state, inputs), reference = point_of(4), problem.reference_ahead(0.3)
-    ours, theirs = (horizon_of(bench, kind, problem) for kind in ("compiled", "linearized"))
+    ours, theirs = (horizon_of(trial, kind, problem) for kind in ("compiled", "linearized"))
     for mine, other in zip((*ours.rollout(state, inputs), *ours.condense(state, inputs, reference)),
                            (*theirs.rollout(state, inputs), *theirs.condense(state, inputs, reference))):
         assert np.abs(mine - other).max() <= 1e-11 * np.abs(other).max()
 
 
 @pytest.mark.parametrize("kind", HORIZONS)
-def test_a_horizon_with_an_actuator_equals_one_without_it_under_acting_inputs(bench, kind):
-    problem, (state, inputs) = problem_of(bench), point_of(5)
-    with_it, without = (horizon_of(bench, kind, problem, actuator) for actuator in (LAG, None))
+def test_a_horizon_with_an_actuator_equals_one_without_it_under_acting_inputs(trial, kind):
+    problem, (state, inputs) = problem_of(trial), point_of(5)
+    with_it, without = (horizon_of(trial, kind, problem, actuator) for actuator in (LAG, None))
     acting = lagged(inputs, with_it.lagged_from, LAG.share, LAG.factor, LAG.shift)
     for ours, theirs in zip(with_it.rollout(state, inputs), without.rollout(state, acting)):
         np.testing.assert_array_equal(ours, theirs)
 
 
-def test_a_program_moved_to_another_state_is_the_one_condensed_there_of_a_linear_model(bench):
-    problem = problem_of(bench, **COSTS["moves"], input_target=np.full(4, 0.1))
-    horizon, (state, inputs), (other, _) = horizon_of(bench, "linear", problem), point_of(1), point_of(2)
+def test_a_program_moved_to_another_state_is_the_one_condensed_there_of_a_linear_model(trial):
+    problem = problem_of(trial, **COSTS["moves"], input_target=np.full(4, 0.1))
+    horizon, (state, inputs), (other, _) = horizon_of(trial, "linear", problem), point_of(1), point_of(2)
     moved = horizon.moved(horizon.condense(state, inputs, problem.reference_ahead(0.1)), other, inputs,
                           problem.reference_ahead(0.4))
     there = horizon.condense(other, inputs, problem.reference_ahead(0.4))
@@ -140,11 +140,11 @@ def test_a_program_moved_to_another_state_is_the_one_condensed_there_of_a_linear
         assert np.abs(found - expected).max() <= 1e-11 * np.abs(expected).max(), name
 
 
-def test_moves_cost_and_inputs_tend_to_their_target_where_nothing_is_tracked(bench):
+def test_moves_cost_and_inputs_tend_to_their_target_where_nothing_is_tracked(trial):
     """Tracking weighs next to nothing: the least Σ r (v − t)² + s (Δv)² is that of a tridiagonal system."""
-    problem = problem_of(bench, output_weight=1e-6 * TRACKED, terminal_weight=0.0, input_weight=3.0, move_weight=50.0,
+    problem = problem_of(trial, output_weight=1e-6 * TRACKED, terminal_weight=0.0, input_weight=3.0, move_weight=50.0,
                          input_target=np.full(4, 0.3), input_bounds=[[-9.0] * 4, [9.0] * 4])
-    horizon, last = horizon_for(bench.oscillators(2, 1, 0), problem), np.array([0.6, 0.0, 0.3, -0.6])
+    horizon, last = horizon_for(trial.oscillators(2, 1, 0), problem), np.array([0.6, 0.0, 0.3, -0.6])
     plan = solve_scp(problem, horizon, np.zeros(6), np.zeros((N, 4)), ProxQP(4 * N, 0, tolerance=1e-12),
                      last_input=last)
     D = np.eye(N) - np.eye(N, k=-1)
@@ -154,8 +154,8 @@ def test_moves_cost_and_inputs_tend_to_their_target_where_nothing_is_tracked(ben
     np.testing.assert_allclose(plan.inputs, expected, rtol=0, atol=1e-7)
 
 
-def test_huber_of_a_small_error_is_its_square_and_of_a_large_one_its_tangent(bench):
-    plain, huber = problem_of(bench), problem_of(bench, huber=1e-3)
+def test_huber_of_a_small_error_is_its_square_and_of_a_large_one_its_tangent(trial):
+    plain, huber = problem_of(trial), problem_of(trial, huber=1e-3)
     reference, none = np.zeros((N, 6)), np.zeros((N, 4))
     for size, factor in ((5e-4, 1.0), (1e-3, 1.0), (3e-3, (2 * 3 - 1) / 9), (0.1, (2 * 100 - 1) / 1e4)):
         outputs = size * np.tile([0.6, -0.8, 5.0, 0, 0, 0], (N, 1))
@@ -168,6 +168,6 @@ def test_huber_of_a_small_error_is_its_square_and_of_a_large_one_its_tangent(ben
     ({"huber": 1e-3, "terminal_weight": 1e7}, "terminal_weight is .* zero for the others"),
     ({"move_weight": [1.0, 2.0]}, r"move_weight has shape \(2,\); expected one number or \(4,\)"),
     ({"input_target": [0.1, 0.2]}, r"input_target has shape \(2,\); expected 4 finite numbers")])
-def test_impossible_costs_are_refused(bench, changes, said):
+def test_impossible_costs_are_refused(trial, changes, said):
     with pytest.raises(ValueError, match=said):
-        problem_of(bench, **changes)
+        problem_of(trial, **changes)

@@ -30,12 +30,12 @@ def seen_in_part(model):
 class LoadedPlant:
     """Oscillators with a wrong stiffness under a constant load, of which the coordinates are measured."""
 
-    def __init__(self, bench, load=0.12, stiffness=1.05):
-        model = bench.oscillators(degree=2)
+    def __init__(self, trial, load=0.12, stiffness=1.05):
+        model = trial.oscillators(degree=2)
         dynamics = model.dynamics.copy()
         dynamics[3:, :3] *= stiffness
-        self.inner = bench.ModelPlant(replace(model, dynamics=dynamics), bench.BOUNDS + [[-1.0], [1.0]])
-        self.load, self.timestep, self.input_bounds = load * np.array([1.0, 0.0, 0.0, 0.5]), 0.01, bench.BOUNDS
+        self.inner = trial.ModelPlant(replace(model, dynamics=dynamics), trial.BOUNDS + [[-1.0], [1.0]])
+        self.load, self.timestep, self.input_bounds = load * np.array([1.0, 0.0, 0.0, 0.5]), 0.01, trial.BOUNDS
         self.name, self.input_unit = "loaded", "N"
         self.output_names, self.input_names, self.rest = ("x", "y", "z"), self.inner.input_names, np.zeros(3)
 
@@ -50,25 +50,25 @@ class LoadedPlant:
         return self.inner.step(np.clip(input, *self.input_bounds) + self.load)[:3]
 
 
-def held(bench, observer, **settings):
-    model = seen_in_part(bench.oscillators(degree=2))
-    controller = ModelPredictiveController(model, HOLD, bench.BOUNDS, observer=observer, first_iterations=3,
+def held(trial, observer, **settings):
+    model = seen_in_part(trial.oscillators(degree=2))
+    controller = ModelPredictiveController(model, HOLD, trial.BOUNDS, observer=observer, first_iterations=3,
                                            input_weight=36.0, **settings)
-    record = simulate(LoadedPlant(bench), controller, HOLD, noise_std=NOISE)
+    record = simulate(LoadedPlant(trial), controller, HOLD, noise_std=NOISE)
     return np.abs(record.error[-200:].mean(0)).max(), controller
 
 
 @pytest.mark.parametrize("disturbance", ["output", "input"])
 @pytest.mark.parametrize("extended", [False, True])
-def test_a_load_and_a_wrong_stiffness_leave_no_steady_error_with_an_observer(bench, disturbance, extended):
-    with_it, controller = held(bench, partial(KalmanObserver, disturbance=disturbance, extended=extended))
-    without, _ = held(bench, None)
+def test_a_load_and_a_wrong_stiffness_leave_no_steady_error_with_an_observer(trial, disturbance, extended):
+    with_it, controller = held(trial, partial(KalmanObserver, disturbance=disturbance, extended=extended))
+    without, _ = held(trial, None)
     assert without > 10 * NOISE and with_it < NOISE
     assert not controller.fallbacks
 
 
-def test_the_stationary_gain_is_that_of_the_riccati_equation_and_the_filter_forgets_its_start(bench):
-    model = seen_in_part(bench.oscillators(0, 1, 0))
+def test_the_stationary_gain_is_that_of_the_riccati_equation_and_the_filter_forgets_its_start(trial):
+    model = seen_in_part(trial.oscillators(0, 1, 0))
     observer = KalmanObserver(model, np.full(4, 0.6), disturbance="none")
     A, B, _ = model.linearize(np.zeros(6), np.zeros(4))
     C, _ = model.linearize_output(np.zeros(6))
@@ -88,8 +88,8 @@ def test_the_stationary_gain_is_that_of_the_riccati_equation_and_the_filter_forg
     assert np.abs(ours - z).max() < 2e-4
 
 
-def test_the_extended_filter_of_a_linear_model_tends_to_the_stationary_one(bench):
-    model = seen_in_part(bench.oscillators(0, 1, 0))
+def test_the_extended_filter_of_a_linear_model_tends_to_the_stationary_one(trial):
+    model = seen_in_part(trial.oscillators(0, 1, 0))
     filters = [KalmanObserver(model, np.full(4, 0.6), extended=extended) for extended in (False, True)]
     rng, z = np.random.default_rng(1), np.zeros(6)
     for _ in range(3000):
@@ -106,16 +106,16 @@ def dropping(plant, share, seed=0):
     return plant
 
 
-def test_a_fifth_of_the_measurements_missing_is_bridged_by_the_filter_and_by_the_plan(bench):
-    model, task = bench.oscillators(), figure_eight(amplitude=0.008, laps=1.0)
+def test_a_fifth_of_the_measurements_missing_is_bridged_by_the_filter_and_by_the_plan(trial):
+    model, task = trial.oscillators(), figure_eight(amplitude=0.008, laps=1.0)
     errors = {}
     for name, observer in (("chart", None), ("filter", partial(KalmanObserver, disturbance="none", extended=True))):
-        controller = bench.predictive(model, task, bench.BOUNDS, observer=observer)
-        record = simulate(dropping(bench.ModelPlant(bench.perturbed(model, 0.03)), 0.2), controller, task,
+        controller = trial.predictive(model, task, trial.BOUNDS, observer=observer)
+        record = simulate(dropping(trial.ModelPlant(trial.perturbed(model, 0.03)), 0.2), controller, task,
                           noise_std=NOISE)
         missing = np.isnan(record.measurement).any(1)
         assert 0.1 < missing.mean() < 0.3 and np.isfinite(record.input).all()
-        assert (record.input >= bench.BOUNDS[0]).all() and (record.input <= bench.BOUNDS[1]).all()
+        assert (record.input >= trial.BOUNDS[0]).all() and (record.input <= trial.BOUNDS[1]).all()
         errors[name] = np.sqrt(np.mean(np.sum(record.error**2, axis=1)))
         if observer is None:
             assert controller.fallbacks[Status.NOT_FINITE] == missing[::2].sum()
@@ -145,20 +145,20 @@ class LatePlant:
         return self.queue[0]
 
 
-def test_measurements_that_are_known_to_be_late_are_brought_up_to_date_by_the_model(bench):
-    model, task, errors = bench.oscillators(), figure_eight(amplitude=0.008, laps=1.0), []
+def test_measurements_that_are_known_to_be_late_are_brought_up_to_date_by_the_model(trial):
+    model, task, errors = trial.oscillators(), figure_eight(amplitude=0.008, laps=1.0), []
     for delay in (0.0, 0.03):
-        controller = bench.predictive(model, task, bench.BOUNDS, measurement_delay=delay)
-        record = simulate(LatePlant(bench.ModelPlant(bench.perturbed(model, 0.03)), 3), controller, task)
+        controller = trial.predictive(model, task, trial.BOUNDS, measurement_delay=delay)
+        record = simulate(LatePlant(trial.ModelPlant(trial.perturbed(model, 0.03)), 3), controller, task)
         errors.append(np.sqrt(np.mean(np.sum(record.error**2, axis=1))))
     assert errors[1] < errors[0] / 4 and errors[1] < 0.008 / 15
     with pytest.raises(ValueError, match="measurement_delay is 0.015 s.*0.01 s"):
-        ModelPredictiveController(model, task, bench.BOUNDS, measurement_delay=0.015)
+        ModelPredictiveController(model, task, trial.BOUNDS, measurement_delay=0.015)
 
 
-def test_a_frozen_sensor_is_noticed_and_counted_until_it_recovers(bench):
-    model, task = bench.oscillators(), figure_eight(laps=1.0)
-    controller, plant = ModelPredictiveController(model, task, bench.BOUNDS), bench.ModelPlant(bench.oscillators())
+def test_a_frozen_sensor_is_noticed_and_counted_until_it_recovers(trial):
+    model, task = trial.oscillators(), figure_eight(laps=1.0)
+    controller, plant = ModelPredictiveController(model, task, trial.BOUNDS), trial.ModelPlant(trial.oscillators())
     observation, commands, seen = plant.reset(), [], None
     for k in range(120):
         seen = seen if 60 <= k < 80 else observation
@@ -169,19 +169,19 @@ def test_a_frozen_sensor_is_noticed_and_counted_until_it_recovers(bench):
     assert all(np.isfinite(c.input).all() and (c.input >= 0).all() and (c.input <= 0.6).all() for c in commands)
 
 
-def test_a_robot_that_stands_still_is_not_a_frozen_sensor(bench):
+def test_a_robot_that_stands_still_is_not_a_frozen_sensor(trial):
     still = Task("still", 2.0, (0, 1), lambda time: np.zeros((len(time), 2)))
-    controller = ModelPredictiveController(bench.oscillators(), still, bench.BOUNDS)
+    controller = ModelPredictiveController(trial.oscillators(), still, trial.BOUNDS)
     for k in range(100):
         controller(0.01 * k, np.zeros(6))
     assert not controller.fallbacks
 
 
-def test_a_prepared_step_costs_what_an_unprepared_one_does(bench):
-    model, task, costs = bench.oscillators(), figure_eight(laps=2.0, ramp=0.5), []
+def test_a_prepared_step_costs_what_an_unprepared_one_does(trial):
+    model, task, costs = trial.oscillators(), figure_eight(laps=2.0, ramp=0.5), []
     for prepare in (False, True):
-        plant = bench.ModelPlant(bench.perturbed(model, 0.03))
-        controller = ModelPredictiveController(model, task, bench.BOUNDS)
+        plant = trial.ModelPlant(trial.perturbed(model, 0.03))
+        controller = ModelPredictiveController(model, task, trial.BOUNDS)
         rng, observation, cost, condensed = np.random.default_rng(0), plant.reset(), 0.0, []
         condense = controller.horizon.condense
         controller.horizon.condense = lambda *a, condense=condense, seen=condensed: seen.append(0) or condense(*a)
@@ -201,8 +201,8 @@ def test_a_prepared_step_costs_what_an_unprepared_one_does(bench):
 
 @pytest.mark.parametrize("extended", [False, True])
 @pytest.mark.parametrize("spoilt", [1e3, 1e30])
-def test_a_filter_that_has_diverged_restarts_from_the_chart(bench, extended, spoilt):
-    model = bench.oscillators()
+def test_a_filter_that_has_diverged_restarts_from_the_chart(trial, extended, spoilt):
+    model = trial.oscillators()
     observer, z = KalmanObserver(model, np.full(4, 0.6), extended=extended), np.zeros(6)
     for k in range(120):
         u = np.array([0.2, 0.0, 0.1, 0.0])
@@ -217,6 +217,6 @@ def test_a_filter_that_has_diverged_restarts_from_the_chart(bench, extended, spo
 
 @pytest.mark.parametrize(("options", "message"), [
     ({"disturbance": "state"}, "expected one of"), ({"process_noise": 0.0}, "expected positive numbers")])
-def test_impossible_settings_of_an_observer_are_refused(bench, options, message):
+def test_impossible_settings_of_an_observer_are_refused(trial, options, message):
     with pytest.raises(ValueError, match=message):
-        KalmanObserver(bench.oscillators(), np.full(4, 0.6), **options)
+        KalmanObserver(trial.oscillators(), np.full(4, 0.6), **options)

@@ -43,8 +43,8 @@ def test_the_array_of_the_caller_is_copied():
     np.testing.assert_array_equal(given, 0.0)
 
 
-def test_the_range_of_a_model_that_is_observed_in_full_is_that_of_its_states(bench):
-    known = RecordedRange(bench.oscillators())
+def test_the_range_of_a_model_that_is_observed_in_full_is_that_of_its_states(trial):
+    known = RecordedRange(trial.oscillators())
     np.testing.assert_allclose(known.limit, BEYOND * 0.04)
     y = np.array([0.0, 0.079, -0.081, np.nan, np.inf, -np.inf])
     np.testing.assert_array_equal(known.holds(y), [True, True, False, False, False, False])

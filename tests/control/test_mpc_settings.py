@@ -48,29 +48,29 @@ def test_impossible_settings_are_refused_with_what_was_given_and_what_was_expect
         PredictiveControlSettings(**changes)
 
 
-def test_an_unknown_name_is_refused_with_the_nearest_right_one(bench):
+def test_an_unknown_name_is_refused_with_the_nearest_right_one(trial):
     with pytest.raises(TypeError, match="no horizn; did you mean horizon"):
         PredictiveControlSettings().changed(horizn=3)
     with pytest.raises(TypeError, match="no input_weigth; did you mean input_weight"):
-        ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS, input_weigth=3.0)
+        ModelPredictiveController(trial.oscillators(), TASK, trial.BOUNDS, input_weigth=3.0)
 
 
-def test_settings_and_changes_by_name_are_the_same(bench):
+def test_settings_and_changes_by_name_are_the_same(trial):
     settings = PredictiveControlSettings(horizon=3, input_weight=[1.0, 2.0, 3.0, 4.0], output_bounds=[[-1.0] * 6,
                                                                                                       [1.0] * 6])
-    whole = ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS, settings)
-    part = ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS, settings.changed(horizon=4), horizon=3)
-    by_name = ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS, horizon=3,
+    whole = ModelPredictiveController(trial.oscillators(), TASK, trial.BOUNDS, settings)
+    part = ModelPredictiveController(trial.oscillators(), TASK, trial.BOUNDS, settings.changed(horizon=4), horizon=3)
+    by_name = ModelPredictiveController(trial.oscillators(), TASK, trial.BOUNDS, horizon=3,
                                         input_weight=np.arange(1.0, 5.0), output_bounds=np.array([[-1.0], [1.0]])
                                         * np.ones(6))
     assert whole.settings == part.settings == by_name.settings and hash(settings) == hash(by_name.settings)
 
 
-def test_constructor_configuration_and_runner_have_the_same_settings(bench):
-    made = ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS)
-    composed = configuration.built(configuration.composed("control").controller)(bench.oscillators(), TASK,
-                                                                                 bench.BOUNDS)
-    served = runner.build(json.loads(json.dumps(runner.DEFAULT["controller"])), bench.oscillators(), TASK, bench.BOUNDS)
+def test_constructor_configuration_and_runner_have_the_same_settings(trial):
+    made = ModelPredictiveController(trial.oscillators(), TASK, trial.BOUNDS)
+    composed = configuration.built(configuration.composed("control").controller)(trial.oscillators(), TASK,
+                                                                                 trial.BOUNDS)
+    served = runner.build(json.loads(json.dumps(runner.DEFAULT["controller"])), trial.oscillators(), TASK, trial.BOUNDS)
     assert made.settings == composed.settings == served.settings == PredictiveControlSettings()
 
 
@@ -82,15 +82,15 @@ def test_every_setting_can_be_changed_on_the_command_line_but_the_observer_which
 ACTUATOR = {"timestep": 0.01, "input_range": [0.6] * 4, "delay": 2, "lag": 0.02, "play": 0.05, "gain": [1.0] * 4}
 
 
-def test_an_actuator_a_huber_cost_and_what_inputs_tend_to_are_set_on_the_command_line_and_by_the_runner(bench):
+def test_an_actuator_a_huber_cost_and_what_inputs_tend_to_are_set_on_the_command_line_and_by_the_runner(trial):
     given = {"period": 0.01, "actuator": ACTUATOR, "move_weight": 300.0, "input_weight": [30.0] * 4, "huber": 5e-4,
              "input_target": [0.1] * 4, "approach": 1.0}
-    made = ModelPredictiveController(bench.oscillators(), TASK, bench.BOUNDS, **given)
+    made = ModelPredictiveController(trial.oscillators(), TASK, trial.BOUNDS, **given)
     words = [f"controller.{name}=" + json.dumps(value).replace('"', "") for name, value in given.items()]
-    composed = configuration.built(configuration.composed("control", words).controller)(bench.oscillators(), TASK,
-                                                                                        bench.BOUNDS)
-    served = runner.build(json.loads(json.dumps(runner.DEFAULT["controller"] | given)), bench.oscillators(), TASK,
-                          bench.BOUNDS)
+    composed = configuration.built(configuration.composed("control", words).controller)(trial.oscillators(), TASK,
+                                                                                        trial.BOUNDS)
+    served = runner.build(json.loads(json.dumps(runner.DEFAULT["controller"] | given)), trial.oscillators(), TASK,
+                          trial.BOUNDS)
     assert made.settings == composed.settings == served.settings and hash(made.settings) == hash(composed.settings)
     assert made.settings.actuator == Actuator(0.01, (0.6,) * 4, 2, 0.02, 0.05, gain=(1.0,) * 4)
     assert made.settings == made.settings.changed(actuator=made.settings.actuator.plain())

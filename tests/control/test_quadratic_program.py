@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
+from ssmr_torch.control.qpsolvers_adapter import QPSolvers
 from ssmr_torch.control.quadratic_program import QPSolution, QuadraticProgram
 from ssmr_torch.control.solvers.proxqp import PROXQP_STATUS, ProxQP, proxqp
-from ssmr_torch.control.solvers_of_qpsolvers import QPSolvers
 from ssmr_torch.status import Status
 
 D, ROWS = 8, 5

@@ -57,11 +57,11 @@ def test_every_solver_of_the_package_is_a_file_of_its_folder_and_gives_the_same_
         assert solution.status.success
 
 
-def test_a_solver_of_another_package_steers_by_its_path(elsewhere, bench):
+def test_a_solver_of_another_package_steers_by_its_path(elsewhere, trial):
     solution = solver_named(f"{elsewhere}:ProjectedGradient", 2, 0, iterations=100).solve(PROBLEM)
     np.testing.assert_allclose(solution.x, [1.0, -1.0], atol=1e-6)
     task, first = figure_eight(laps=1.0), 1e-3 * np.ones(6)
-    ours, theirs = (ModelPredictiveController(bench.oscillators(), task, bench.BOUNDS, qp=qp, input_weight=3.6e4,
+    ours, theirs = (ModelPredictiveController(trial.oscillators(), task, trial.BOUNDS, qp=qp, input_weight=3.6e4,
                                                step_budget=None)  # in Python it is slow
                     for qp in ("proxqp", f"{elsewhere}:ProjectedGradient"))
     assert type(theirs.solver).__name__ == "ProjectedGradient"

@@ -26,9 +26,9 @@ OBSERVERS = {f"{disturbance}, {'extended' if extended else 'stationary'}":
              for disturbance in ("none", "output", "input") for extended in (False, True)}
 
 
-def steered(bench, controller, samples=300, observe=lambda k, y: y, called=lambda k: True):
+def steered(trial, controller, samples=300, observe=lambda k, y: y, called=lambda k: True):
     """Outputs (samples, 6) of the plant, and the commands; observe changes measurements, called skips calls."""
-    plant, rng = bench.ModelPlant(bench.perturbed(bench.oscillators(), 0.03)), np.random.default_rng(0)
+    plant, rng = trial.ModelPlant(trial.perturbed(trial.oscillators(), 0.03)), np.random.default_rng(0)
     y, outputs, commands = plant.reset(), [], []
     for k in range(samples):
         noise = 3e-5 * rng.standard_normal(6)
@@ -58,24 +58,24 @@ def test_bad_measurements_raise_no_error_and_inputs_stay_in_bounds_and_in_time(k
 
 
 @pytest.mark.parametrize("observer", [None, *OBSERVERS.values()], ids=["chart", *OBSERVERS])
-def test_one_call_in_ten_skipped_costs_little_and_is_counted(bench, observer):
+def test_one_call_in_ten_skipped_costs_little_and_is_counted(trial, observer):
     def controller():
-        return bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, observer=observer)
+        return trial.predictive(trial.oscillators(), EIGHT, trial.BOUNDS, observer=observer)
 
-    whole, one = rms(steered(bench, controller())[0]), controller()
-    skipped = rms(steered(bench, one, called=lambda k: k % 10 != 7)[0])
+    whole, one = rms(steered(trial, controller())[0]), controller()
+    skipped = rms(steered(trial, one, called=lambda k: k % 10 != 7)[0])
     assert skipped < 1.6e-4 and skipped < whole + 1e-4
     assert one.counts == {"skipped": 30} and not one.fallbacks
 
 
-def test_intervals_of_twice_the_timestep_are_bridged_and_counted(bench):
-    controller = bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS)
-    assert rms(steered(bench, controller, called=lambda k: k % 2 == 0)[0]) < 1.6e-4
+def test_intervals_of_twice_the_timestep_are_bridged_and_counted(trial):
+    controller = trial.predictive(trial.oscillators(), EIGHT, trial.BOUNDS)
+    assert rms(steered(trial, controller, called=lambda k: k % 2 == 0)[0]) < 1.6e-4
     assert controller.counts == {"skipped": 149}
 
 
-def test_a_repeated_call_changes_nothing_and_falls_back_to_the_input_that_is_held(bench):
-    one, other = (bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS) for _ in range(2))
+def test_a_repeated_call_changes_nothing_and_falls_back_to_the_input_that_is_held(trial):
+    one, other = (trial.predictive(trial.oscillators(), EIGHT, trial.BOUNDS) for _ in range(2))
     for k in range(60):
         y = 1e-3 * np.sin(0.1 * k + np.arange(6))
         ours, theirs = one(0.01 * k, y), other(0.01 * k, y)
@@ -88,11 +88,11 @@ def test_a_repeated_call_changes_nothing_and_falls_back_to_the_input_that_is_hel
 
 @pytest.mark.parametrize("approach", [0.0, 0.4])
 @pytest.mark.parametrize("jump", [-0.5, 20.0])
-def test_after_a_jump_in_time_the_controller_restarts_at_the_robots_position(bench, jump, approach):
+def test_after_a_jump_in_time_the_controller_restarts_at_the_robots_position(trial, jump, approach):
     """As one that has not moved yet but for the input that is held: it approaches the reference from there again."""
-    controller, late = (bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, approach=approach,
+    controller, late = (trial.predictive(trial.oscillators(), EIGHT, trial.BOUNDS, approach=approach,
                                          observer=OBSERVERS["output, stationary"]) for _ in range(2))
-    _, before = steered(bench, controller, 60)
+    _, before = steered(trial, controller, 60)
     y = np.full(6, 2e-3)
     late._last_input = before[-1].input
     late.actuator.rest_at(before[-1].input)
@@ -106,12 +106,12 @@ def test_after_a_jump_in_time_the_controller_restarts_at_the_robots_position(ben
 @pytest.mark.parametrize("size", [0.1, 1.0])
 @pytest.mark.parametrize("at", [5, 200, 201])
 @pytest.mark.parametrize("observer", [None, *OBSERVERS.values()], ids=["chart", *OBSERVERS])
-def test_a_single_outlier_is_over_after_three_samples(bench, observer, at, size):
+def test_a_single_outlier_is_over_after_three_samples(trial, observer, at, size):
     def controller():
-        return bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, observer=observer)
+        return trial.predictive(trial.oscillators(), EIGHT, trial.BOUNDS, observer=observer)
 
-    clean, one = steered(bench, controller(), 260)[0], controller()
-    spoilt = steered(bench, one, 260, lambda k, y: y + size * (k == at))[0]
+    clean, one = steered(trial, controller(), 260)[0], controller()
+    spoilt = steered(trial, one, 260, lambda k, y: y + size * (k == at))[0]
     off = np.flatnonzero((np.abs(spoilt - clean)[:, :2] > 1e-4).any(axis=1))
     assert not len(off) or off[-1] <= at + 3
     if observer is not None:
@@ -119,24 +119,24 @@ def test_a_single_outlier_is_over_after_three_samples(bench, observer, at, size)
 
 
 @pytest.mark.parametrize("observer", OBSERVERS.values(), ids=OBSERVERS)
-def test_clean_runs_of_wrong_models_are_not_gated(bench, observer):
+def test_clean_runs_of_wrong_models_are_not_gated(trial, observer):
     for wrong in (0.0, 0.2):
-        model = bench.perturbed(bench.oscillators(), wrong, seed=5)
-        controller = bench.predictive(model, EIGHT, bench.BOUNDS, observer=observer)
-        steered(bench, controller)
+        model = trial.perturbed(trial.oscillators(), wrong, seed=5)
+        controller = trial.predictive(model, EIGHT, trial.BOUNDS, observer=observer)
+        steered(trial, controller)
         assert not controller.counts
 
 
-def test_a_robot_that_has_really_moved_is_accepted_after_three_samples(bench):
-    observer = KalmanObserver(bench.oscillators(), np.full(4, 0.6))
+def test_a_robot_that_has_really_moved_is_accepted_after_three_samples(trial):
+    observer = KalmanObserver(trial.oscillators(), np.full(4, 0.6))
     for k in range(700):
         observer.measure(np.full(6, 0.0 if k < 600 else 0.02), np.zeros(4))
     z, _, offset = observer.state()
     assert observer.gated == 3 and np.abs(z + offset - 0.02).max() < 1e-3
 
 
-def test_absolute_positions_are_logged_once_with_both_numbers_and_counted(bench, caplog):
-    controller = bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS)
+def test_absolute_positions_are_logged_once_with_both_numbers_and_counted(trial, caplog):
+    controller = trial.predictive(trial.oscillators(), EIGHT, trial.BOUNDS)
     with caplog.at_level(logging.WARNING):
         for k in range(5):
             controller(0.01 * k, np.array([0.0, 0.0, -0.2, 0.0, 0.0, 0.0]))
@@ -147,14 +147,14 @@ def test_absolute_positions_are_logged_once_with_both_numbers_and_counted(bench,
 
 @pytest.mark.parametrize("settings", [{}, {"input_rate": 5.0}, {"qp": "daqp"}, {"qp": "daqp", "input_rate": 5.0},
                                       {"observer": OBSERVERS["input, extended"]}], ids=str)
-def test_an_input_is_fixed_and_released_again_without_a_restart(bench, settings):
-    controller = bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, **settings)
-    plant = bench.ModelPlant(bench.perturbed(bench.oscillators(), 0.03))
-    y, shut, inputs = plant.reset(), bench.BOUNDS.copy(), []
+def test_an_input_is_fixed_and_released_again_without_a_restart(trial, settings):
+    controller = trial.predictive(trial.oscillators(), EIGHT, trial.BOUNDS, **settings)
+    plant = trial.ModelPlant(trial.perturbed(trial.oscillators(), 0.03))
+    y, shut, inputs = plant.reset(), trial.BOUNDS.copy(), []
     shut[:, 2] = 0.05
     for k in range(300):
         if k in (101, 180):
-            controller.input_bounds = shut if k == 101 else bench.BOUNDS
+            controller.input_bounds = shut if k == 101 else trial.BOUNDS
         command = controller(0.01 * k, y)
         assert command.fallback is None and (command.plan is None or k < 2 or command.plan.iterations == 1)
         inputs.append(command.input)
@@ -169,11 +169,11 @@ def test_an_input_is_fixed_and_released_again_without_a_restart(bench, settings)
     ([[0.0] * 4, [0.6, 0.6, -0.1, 0.6]], "input 2 is bounded by 0.0 and -0.1"),
     ([[0.0, -np.inf, 0.0, 0.0], [0.6] * 4], "input 1 is bounded by -inf and 0.6"),
     ([[0.0] * 3, [0.6] * 3], r"shape \(2, 3\); expected \(2, 4\)")])
-def test_crossed_or_infinite_bounds_are_refused_with_both_numbers(bench, bounds, said):
-    controller = bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS)
+def test_crossed_or_infinite_bounds_are_refused_with_both_numbers(trial, bounds, said):
+    controller = trial.predictive(trial.oscillators(), EIGHT, trial.BOUNDS)
     with pytest.raises(ValueError, match=said):
         controller.input_bounds = bounds
-    np.testing.assert_array_equal(controller.input_bounds, bench.BOUNDS)
+    np.testing.assert_array_equal(controller.input_bounds, trial.BOUNDS)
 
 
 class Slow:
@@ -192,9 +192,9 @@ class Slow:
         self.solver.reset()
 
 
-def test_no_program_begins_that_would_not_end_within_the_budget(bench):
+def test_no_program_begins_that_would_not_end_within_the_budget(trial):
     slow = Slow(solver_named("proxqp", 20, 0), 0.004)
-    controller = bench.predictive(bench.oscillators(), EIGHT, bench.BOUNDS, first_iterations=10, tolerance=1e-30,
+    controller = trial.predictive(trial.oscillators(), EIGHT, trial.BOUNDS, first_iterations=10, tolerance=1e-30,
                                   solver=slow)
     command = controller(0.0, np.full(6, 3e-3))
     assert command.fallback is None and command.plan.iterations == 2
@@ -223,8 +223,8 @@ def test_a_program_that_daqp_refuses_has_a_status_and_the_next_one_is_solved():
         np.testing.assert_allclose(solver.solve(good).x, [0.5, 0.0], atol=1e-9)
 
 
-def test_a_gap_in_a_window_is_filled_by_the_parabola_through_its_neighbours(bench):
-    model = replace(bench.oscillators(), delays=3)
+def test_a_gap_in_a_window_is_filled_by_the_parabola_through_its_neighbours(trial):
+    model = replace(trial.oscillators(), delays=3)
     estimator = ChartEstimator(model, 1)
     y = 1e-2 * (1.0 + 0.1 * np.arange(12) + 0.02 * np.arange(12)**2)
     for k in range(12):
@@ -271,9 +271,9 @@ def test_a_task_with_a_lambda_can_be_copied_but_not_pickled():
 @pytest.mark.parametrize("kind", [
     "SSMR on the chart", "SSMR, horizon 10, rate", "SSMR, extended Kalman", "SSMR, Kalman", "SSMR, 20 circles, rate",
     "SSMR, 20 circles, daqp", "SSMR, actuator", "SSMR, rubbing actuator, rate", "EDMD", "static pregain"])
-def test_the_copy_of_a_controller_gives_the_same_commands_to_the_last_bit(bench, kind, copied):
+def test_the_copy_of_a_controller_gives_the_same_commands_to_the_last_bit(trial, kind, copied):
     controller = hostile.KINDS[kind]()
-    steered(bench, controller, 101)
+    steered(trial, controller, 101)
     again, rng = copied(controller), np.random.default_rng(3)
     for k in range(101, 160):
         y = 0.005 * np.sin(0.05 * k + np.arange(6)) + 3e-5 * rng.standard_normal(6)

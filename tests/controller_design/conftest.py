@@ -16,11 +16,11 @@ import ssmr_torch as ssmr  # noqa: E402
 from ssmr_torch.control.actuator import Actuator  # noqa: E402
 from ssmr_torch.control.mpc import ModelPredictiveController  # noqa: E402
 from ssmr_torch.controller_design import model_choice, noises, twin, weights  # noqa: E402
-from ssmr_torch.controller_design.controller import settings_of  # noqa: E402
-from ssmr_torch.controller_design.loops import Weights  # noqa: E402
+from ssmr_torch.controller_design.linear_loop import Weights  # noqa: E402
 from ssmr_torch.controller_design.noises import Likelihood, Noises  # noqa: E402
-from ssmr_torch.controller_design.predictive import Form, Regression, Scaled, chart  # noqa: E402
+from ssmr_torch.controller_design.predictive_chart import Form, Regression, Scaled, chart  # noqa: E402
 from ssmr_torch.controller_design.recordings import recordings_of  # noqa: E402
+from ssmr_torch.controller_design.settings_from_design import settings_of  # noqa: E402
 
 DELAY, LAG, OF_SENSOR, OF_INPUTS = 2, 0.04, 3e-5, 0.002
 FEWER = ((weights, "TRIES", 1), (weights, "POINTS", 2), (weights, "OF_STATES", (1.0, 0.1)),

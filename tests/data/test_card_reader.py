@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import yaml
 
-from ssmr_torch.data import readers
+from ssmr_torch.data.card_reader import custom
 from ssmr_torch.data.recording import Recording, fingerprint, rest_at_end
 from ssmr_torch.data.recording_card import read_recording_card
+from ssmr_torch.data.stored_trajectories import stored
 from ssmr_torch.trajectory import TrajectoryDataset
 
 
@@ -44,7 +45,7 @@ def csv_card(folder, **changes):
 
 
 def test_a_card_turns_millimetres_into_displacements_in_metres(tmp_path):
-    dataset = readers.custom(csv_card(tmp_path))
+    dataset = custom(csv_card(tmp_path))
     t, y = decay(200)
     np.testing.assert_allclose(dataset.rest, 1e-3 * (np.array([5, -5, 100]) + 0.15 * y[-1]), atol=1e-9)
     absolute = 1e-3 * y + [5e-3, -5e-3, 0.1]
@@ -69,7 +70,7 @@ def test_an_hdf5_file_with_a_run_column_equals_its_csv_file(tmp_path):
     datasets = []
     for file in ("a.csv", "a.h5"):
         (tmp_path / "card.yaml").write_text(yaml.safe_dump(card | {"files": [file]}))
-        datasets.append(readers.custom(tmp_path / "card.yaml"))
+        datasets.append(custom(tmp_path / "card.yaml"))
     for one, other in zip(*datasets, strict=True):
         np.testing.assert_array_equal(one.observation, other.observation)
         assert (one.kind, one.split, one.name) == (other.kind, other.split, other.name)
@@ -81,7 +82,7 @@ def test_resting_samples_give_the_rest_position(tmp_path):
     moving = np.where(t > 2, 10 * np.sin(5 * (t - 2)), 0.0)
     write_csv(tmp_path / "still.csv", ["t", "x", "y", "z", "u"],
               np.c_[t, np.array([5, -5, 100]) + moving[:, None], np.where(t > 2, 1.0, 0.0)])
-    dataset = readers.custom(csv_card(tmp_path, files=["still.csv"], decays=[], split={},
+    dataset = custom(csv_card(tmp_path, files=["still.csv"], decays=[], split={},
                                       rest="median of resting samples"))
     np.testing.assert_allclose(dataset.rest, [0.005, -0.005, 0.1], atol=1e-5)
 
@@ -90,7 +91,7 @@ def test_resting_samples_give_the_rest_position(tmp_path):
                                               ("rests", "rest")])
 def test_an_unknown_key_of_the_card_is_refused_with_the_nearest(tmp_path, key, nearest):
     with pytest.raises(ValueError, match=f"unknown key '{key}'; did you mean '{nearest}'"):
-        readers.custom(csv_card(tmp_path, **{key: []}))
+        custom(csv_card(tmp_path, **{key: []}))
 
 
 @pytest.mark.parametrize(("changes", "message"), [
@@ -133,7 +134,7 @@ def test_a_wrong_card_is_refused(tmp_path, changes, message):
     if changes.get("rest") == "median of resting samples":
         path = csv_card(tmp_path, files=["inputs.csv"], decays=[], **changes)
     with pytest.raises(ValueError, match=message):
-        readers.custom(path)
+        custom(path)
 
 
 def test_what_yaml_reads_as_another_type_is_understood(tmp_path):
@@ -143,7 +144,7 @@ def test_what_yaml_reads_as_another_type_is_understood(tmp_path):
         (tmp_path / f"{name}.csv").rename(tmp_path / f"{key}.csv")
     path.write_text(path.read_text().replace("release_1.csv", "20260101.csv").replace("release_1", "20260101"))
     assert "- 20260101\n" in path.read_text()
-    assert [(run.kind, run.name) for run in readers.custom(path)][0] == ("decay", "20260101")
+    assert [(run.kind, run.name) for run in custom(path)][0] == ("decay", "20260101")
 
 
 def test_a_card_that_is_changed_is_checked_again(tmp_path):
@@ -157,9 +158,9 @@ def test_a_card_that_is_changed_is_checked_again(tmp_path):
 
 def test_a_missing_card_or_file_is_reported(tmp_path):
     with pytest.raises(FileNotFoundError, match="no card at"):
-        readers.custom(tmp_path / "card.yaml")
+        custom(tmp_path / "card.yaml")
     with pytest.raises(FileNotFoundError, match="absent.csv"):
-        readers.custom(csv_card(tmp_path, files=["absent.csv"], decays=[], split={}, rest=[0, 0, 0]))
+        custom(csv_card(tmp_path, files=["absent.csv"], decays=[], split={}, rest=[0, 0, 0]))
 
 
 @pytest.mark.parametrize(("text", "message"), [
@@ -172,7 +173,7 @@ def test_a_wrong_csv_file_is_refused(tmp_path, text, message):
     path = csv_card(tmp_path)
     (tmp_path / "inputs.csv").write_text(text)
     with pytest.raises(ValueError, match=message):
-        readers.custom(path)
+        custom(path)
 
 
 def edit(path, row, column, value):
@@ -187,8 +188,8 @@ def test_rows_with_empty_cells_are_refused_or_split_the_run(tmp_path):
     path = csv_card(tmp_path)
     edit(tmp_path / "inputs.csv", 80, 2, "")
     with pytest.raises(ValueError, match=r"inputs: 1 of 200 rows are not finite, the first are rows \[80\]"):
-        readers.custom(path)
-    parts = readers.custom(csv_card_keeping(tmp_path, missing="split")).select("test")
+        custom(path)
+    parts = custom(csv_card_keeping(tmp_path, missing="split")).select("test")
     assert [(p.name, p.length) for p in parts] == [("inputs/0", 80), ("inputs/1", 119)]
 
 
@@ -203,7 +204,7 @@ def test_time_that_does_not_increase_is_refused(tmp_path, value, word):
     path = csv_card(tmp_path)
     edit(tmp_path / "inputs.csv", 80, 0, value)
     with pytest.raises(ValueError, match=f"inputs: time {word} at row 80"):
-        readers.custom(path)
+        custom(path)
 
 
 @pytest.mark.parametrize(("declared", "likely"), [("m", "cm or mm"), ("mm", "m")])
@@ -215,7 +216,7 @@ def test_lengths_in_another_unit_than_declared_are_refused_naming_the_likely_one
             table[:, 1:4] *= 1e-3
             write_csv(tmp_path / f"{name}.csv", ["t", "x", "y", "z", "u"], table)
     with pytest.raises(ValueError, match=f"read in {declared}; .*observations look like {likely}\\."):
-        readers.custom(path)
+        custom(path)
 
 
 def rescale(folder, columns, factor):
@@ -229,7 +230,7 @@ def test_150_mm_of_travel_in_metres_are_not_taken_for_millimetres(tmp_path):
     path = csv_card(tmp_path)
     rescale(tmp_path, slice(1, 4), 15e-3)
     with pytest.raises(ValueError, match="read in mm; expected between 0.001 and 2 m: .* look like m or cm"):
-        readers.custom(path)
+        custom(path)
 
 
 @pytest.mark.parametrize("rest", ["last sample of decays", "median of resting samples"])
@@ -240,7 +241,7 @@ def test_a_clock_in_another_unit_than_declared_is_refused_naming_the_likely_one(
     rescale(tmp_path, 0, factor)
     with pytest.raises(ValueError, match=f"median sampling interval is .* s when the times are read in {declared}; "
                                          f"expected between 0.0001 and 0.5 s: the times look like {likely}\\."):
-        readers.custom(path)
+        custom(path)
 
 
 @pytest.mark.parametrize(("declared", "factor", "message"), [
@@ -251,13 +252,13 @@ def test_inputs_in_another_unit_than_declared_are_refused_unless_the_card_widens
     path = csv_card(tmp_path, units={"length": "mm", "input": declared})
     rescale(tmp_path, 4, factor)
     with pytest.raises(ValueError, match=message):
-        readers.custom(path)
-    dataset = readers.custom(csv_card_keeping(tmp_path, largest_input=1000))
+        custom(path)
+    dataset = custom(csv_card_keeping(tmp_path, largest_input=1000))
     assert dataset.provenance["peaks"]["input"] == pytest.approx(1000 * factor, rel=1e-3)
 
 
 def test_the_peaks_found_are_in_the_provenance(tmp_path):
-    dataset = readers.custom(csv_card(tmp_path))
+    dataset = custom(csv_card(tmp_path))
     peaks = {"displacement_m": max(np.abs(t.observation).max() for t in dataset),
              "input": max(np.abs(t.input).max() for t in dataset)}
     assert dataset.provenance["peaks"] == pytest.approx(peaks)
@@ -266,14 +267,14 @@ def test_the_peaks_found_are_in_the_provenance(tmp_path):
 def test_a_card_that_is_no_yaml_is_refused_in_one_line_that_names_the_line(tmp_path):
     (tmp_path / "card.yaml").write_text("files: [a.csv]\nrest: [0, 0\ndecays: []\n")
     with pytest.raises(ValueError, match="^card.yaml: line 3: .*expected YAML$") as caught:
-        readers.custom(tmp_path / "card.yaml")
+        custom(tmp_path / "card.yaml")
     assert "\n" not in str(caught.value)
 
 
 def test_a_truncated_hdf5_file_is_refused_with_the_remedy(tmp_path):
-    dataset = readers.custom(csv_card(tmp_path))
-    for name, read in (("session.h5", lambda path: readers.custom(csv_card(tmp_path, files=[path.name], decays=[]))),
-                       ("runs.h5", readers.stored)):
+    dataset = custom(csv_card(tmp_path))
+    for name, read in (("session.h5", lambda path: custom(csv_card(tmp_path, files=[path.name], decays=[]))),
+                       ("runs.h5", stored)):
         path = dataset.save(tmp_path / name)
         path.write_bytes(path.read_bytes()[:5000])
         with pytest.raises(ValueError, match=f"{name} cannot be read .*truncated.*; copy or .* it again"):
@@ -282,13 +283,13 @@ def test_a_truncated_hdf5_file_is_refused_with_the_remedy(tmp_path):
 
 def test_declared_and_found_seams_cut_the_run(tmp_path):
     path = csv_card(tmp_path, seams={"inputs": [50]})
-    assert [p.length for p in readers.custom(path).select("test")] == [50, 150]
+    assert [p.length for p in custom(path).select("test")] == [50, 150]
     path = csv_card(tmp_path)
     table = np.loadtxt(tmp_path / "inputs.csv", delimiter=",", skiprows=1)
     table[120:, 1:4] += 15
     table[160:, 0] += 0.05
     write_csv(tmp_path / "inputs.csv", ["t", "x", "y", "z", "u"], table)
-    dataset = readers.custom(path)
+    dataset = custom(path)
     assert [p.length for p in dataset.select("test")] == [120, 40, 40]
     assert dataset.provenance["seams"] == {"inputs": [120, 160]}
 
@@ -309,7 +310,7 @@ def test_a_run_that_does_not_end_at_rest_gives_no_rest_position():
 
 def test_the_provenance_is_plain_names_no_directory_and_is_logged(tmp_path, caplog):
     with caplog.at_level(logging.INFO):
-        dataset = readers.custom(csv_card(tmp_path))
+        dataset = custom(csv_card(tmp_path))
     text = json.dumps(dataset.provenance)
     assert str(tmp_path) not in text
     assert all(len(digest) == 64 for digest in dataset.provenance["sources"].values())
@@ -317,18 +318,18 @@ def test_the_provenance_is_plain_names_no_directory_and_is_logged(tmp_path, capl
 
 
 def test_a_stored_dataset_is_read_back(tmp_path):
-    written = readers.custom(csv_card(tmp_path))
+    written = custom(csv_card(tmp_path))
     path = written.save(tmp_path / "runs.h5")
-    read = readers.stored(path)
+    read = stored(path)
     np.testing.assert_array_equal(read[0].read().observation, written[0].observation)
     assert read.provenance == written.provenance | {"stored": fingerprint(path)}
     assert list(read.provenance["stored"]) == ["runs.h5"] and str(tmp_path) not in json.dumps(read.provenance)
 
 
 def test_stored_datasets_of_one_robot_are_joined_and_those_of_two_refused(tmp_path):
-    written = readers.custom(csv_card(tmp_path))
+    written = custom(csv_card(tmp_path))
     paths = [written.save(tmp_path / name / "runs.h5") for name in ("one", "two")]
-    joined = readers.stored(paths)
+    joined = stored(paths)
     assert len(joined) == 2 * len(written)
     np.testing.assert_array_equal(joined[-1].read().input, written[-1].input)
     added = {"stored": fingerprint(paths[0]), "joined": [fingerprint(paths[1])]}
@@ -337,16 +338,16 @@ def test_stored_datasets_of_one_robot_are_joined_and_those_of_two_refused(tmp_pa
                              ({"input_names": ["a", "b", "c", "d"][:written.input_dim]}, "differ in input_names")):
         other = dataclasses.replace(written, **changes).save(tmp_path / "other.h5")
         with pytest.raises(ValueError, match=f"runs.h5 and .*other.h5 {message}"):
-            readers.stored([paths[0], other])
+            stored([paths[0], other])
 
 
 def test_a_dataset_is_what_every_reader_returns(tmp_path):
-    assert isinstance(readers.custom(csv_card(tmp_path)), TrajectoryDataset)
+    assert isinstance(custom(csv_card(tmp_path)), TrajectoryDataset)
 
 
 def test_a_card_states_a_symmetry_for_the_selection(tmp_path):
     symmetry = {"angle": 180, "axis": [0, 0, 1], "inputs": ["-u"]}
-    assert readers.custom(csv_card(tmp_path, symmetry=symmetry)).provenance["symmetry"] == symmetry
-    assert "symmetry" not in readers.custom(csv_card(tmp_path)).provenance
+    assert custom(csv_card(tmp_path, symmetry=symmetry)).provenance["symmetry"] == symmetry
+    assert "symmetry" not in custom(csv_card(tmp_path)).provenance
     with pytest.raises(ValueError, match=r"symmetry.inputs names \['cable'\], but the inputs are"):
-        readers.custom(csv_card(tmp_path, symmetry={**symmetry, "inputs": ["cable"]}))
+        custom(csv_card(tmp_path, symmetry={**symmetry, "inputs": ["cable"]}))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ssmr_torch.data.readers import custom
+from ssmr_torch.data.card_reader import custom
 from ssmr_torch.plants.slow_manifold import SlowManifold
 
 TUTORIALS = Path(__file__).resolve().parents[2] / "docs" / "tutorials"

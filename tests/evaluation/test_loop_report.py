@@ -11,8 +11,8 @@ from ssmr_torch.evaluation.loop_report import bound_margins, natural_frequency, 
 
 
 @pytest.fixture(scope="module")
-def record(by_hand, bench):
-    controller, plant = by_hand(), bench.ModelPlant(bench.oscillators())
+def record(by_hand, trial):
+    controller, plant = by_hand(), trial.ModelPlant(trial.oscillators())
     return simulate(plant, controller, controller.task, noise_std=1e-5)
 
 
@@ -38,13 +38,13 @@ def test_margins_are_the_smallest_distances_and_the_share_of_time_at_a_bound():
     assert (low.distance, low.share) == (0.0, 0.5) and (high.distance, high.share) == (0.0, 0.25)
 
 
-def test_a_designed_loop_reports_errors_speed_minutes_tuning_counts_and_margins(record, bench, tmp_path):
+def test_a_designed_loop_reports_errors_speed_minutes_tuning_counts_and_margins(record, trial, tmp_path):
     report = ClosedLoopRecord.load(record.save(tmp_path / "record.h5")).report()
     facts = json.loads(json.dumps(report.facts, allow_nan=False))
     assert facts["tuned"] == "designed from 2.5 min of recordings" and facts["minutes"] == 2.5
     assert facts["share_of_reach"] == pytest.approx(facts["rmse"] / 0.02)
     assert facts["control_rate"] == pytest.approx(100.0)
-    natural = natural_frequency(bench.oscillators().rates)
+    natural = natural_frequency(trial.oscillators().rates)
     assert facts["speed"] == pytest.approx(reference_frequency(record.time, record.reference) / natural)
     assert facts["gated"] == 0 and facts["late"] == 0 and facts["fallbacks"] == 0
     assert len(facts["margins"]) == 8 and facts["margins"][0]["input"] == "u0"

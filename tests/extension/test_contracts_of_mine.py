@@ -24,8 +24,8 @@ def contract(room: str):
 
 
 MODELS, PLANTS, CONTROLLERS = (contract(room) for room in ("models", "plants", "control"))
-CONTROLLERS.CONTROLLERS["integral"] = lambda bench: IntegralController(bench.oscillators(), CONTROLLERS.SLOW,
-                                                                       bench.BOUNDS)
+CONTROLLERS.CONTROLLERS["integral"] = lambda trial: IntegralController(trial.oscillators(), CONTROLLERS.SLOW,
+                                                                       trial.BOUNDS)
 
 
 def small_model() -> SquaresAndProducts:
@@ -60,8 +60,8 @@ def ideal():
 
 
 @pytest.fixture(params=["integral"])
-def controller(request, bench):
-    return CONTROLLERS.CONTROLLERS[request.param](bench)
+def controller(request, trial):
+    return CONTROLLERS.CONTROLLERS[request.param](trial)
 
 
 OF_OURS_ALONE = ("test_impossible_sizes_are_refused_with_the_numbers",)  # of the SSMR, whatever the model

@@ -52,7 +52,7 @@ def among_few(began, trial, *, decays, minutes=0.0, say=lambda line: None):
 def few(monkeypatch):
     """A selection among a few forms, which takes a second, and the trials that began."""
     began = []
-    monkeypatch.setattr("ssmr_torch.selection.choice.search", partial(among_few, began))
+    monkeypatch.setattr("ssmr_torch.selection.choose.search", partial(among_few, began))
     return began
 
 
@@ -69,7 +69,7 @@ def fitted(data, **options):
 def model(data):
     """One of few forms, for tests of what is done with it."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ssmr_torch.selection.choice.search", partial(among_few, []))
+        patch.setattr("ssmr_torch.selection.choose.search", partial(among_few, []))
         return fitted(data)
 
 
@@ -149,7 +149,7 @@ def test_a_model_for_control_is_one_and_a_team_is_as_large_as_allowed(few, data,
         asked.append(largest)
         return choose_team(trial, pool, largest)
 
-    monkeypatch.setattr("ssmr_torch.selection.choice.choose_team", noted)
+    monkeypatch.setattr("ssmr_torch.selection.choose.choose_team", noted)
     sizes = [len(fitted(data, **options).report["selection"]["facts"]["members"])
              for options in ({}, {"team": 2}, {"purpose": "control"})]
     assert asked == [4, 2, 1] and sizes[2] == 1 and all(size <= most for size, most in zip(sizes, asked))

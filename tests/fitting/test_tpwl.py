@@ -13,9 +13,9 @@ from ssmr_torch.collection.collect import ControlledRun, collect
 from ssmr_torch.collection.excitation import SmoothRandom
 from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.data.windows import SegmentDataset
-from ssmr_torch.fitting import tpwl_replay as replay
+from ssmr_torch.fitting import plant_replay as replay
+from ssmr_torch.fitting.plant_replay import Projection, linearized_step
 from ssmr_torch.fitting.tpwl import PlantLinearization, TPWLFit, check_plant, proper_orthogonal_modes
-from ssmr_torch.fitting.tpwl_replay import Projection, linearized_step
 from ssmr_torch.fitting.training import load_model, train
 from ssmr_torch.models.tpwl import TPWL
 from ssmr_torch.plants.finite_element.cables import Cables

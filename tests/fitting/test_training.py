@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from ssmr_torch.data.datamodule import TrajectoryDataModule
-from ssmr_torch.fitting import constructors
+from ssmr_torch.fitting import constructor_checks as constructors
 from ssmr_torch.fitting.gradient_fit import GradientFit
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
 from ssmr_torch.fitting.training import least_squares, load_model, save_model, train

@@ -5,7 +5,7 @@ import pytest
 import scipy.io
 import torch
 
-from ssmr_torch.data.matlab import read_koopman_struct, read_ssmlearn_cells
+from ssmr_torch.data.matlab_reader import read_koopman_struct, read_ssmlearn_cells
 from ssmr_torch.data.windows import Segment, delay_windows
 from ssmr_torch.fitting.dimension import captured_variance, dimension_by_gap, window_singular_values
 from ssmr_torch.fitting.koopman_least_squares import KoopmanLeastSquares

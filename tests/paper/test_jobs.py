@@ -16,7 +16,7 @@ SETTINGS = {
         "trunk": {"plant": "trunk_coarse", "mesh": None, "rig": "ideal", "excitation": "trunk", "robot": "trunk",
                   "methods": {"SSMR": ["controller=scp_trunk"], "neural ODE": ["controller=scp"], "DMD": []}},
         "bench": {"plant": "diamond", "mesh": "a b's.vtu", "rig": "emulated_bench",
-                  "bench": ["plant.stiffness_scale=0.9"],
+                  "unmodelled": ["plant.stiffness_scale=0.9"],
                   "excitation": "diamond", "robot": "emulated_bench", "control": ["noise_std=0.0"],
                   "methods": {"SSMR": ["controller=scp"]}, "train": {"SSMR": ["fit=stability_guard"]}}},
     "figures": {

@@ -10,7 +10,7 @@ import scipy.io
 from omegaconf import OmegaConf
 
 from ssmr_torch.configuration import composed
-from ssmr_torch.data.matlab import read_ssmlearn_cells
+from ssmr_torch.data.matlab_reader import read_ssmlearn_cells
 from ssmr_torch.paper import readers
 
 DATA = Path(os.environ.get("SSMR_TORCH_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))

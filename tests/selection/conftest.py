@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ssmr_torch.selection.samples import Samples
+from ssmr_torch.selection.folds_and_starts import Samples
 
 TIMESTEP = 0.02
 

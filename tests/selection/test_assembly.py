@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ssmr_torch.models.output_coordinates import ConstantCurvature
-from ssmr_torch.selection.candidate import ALL, ClosedForm
+from ssmr_torch.selection.closed_form import ALL, ClosedForm
 from ssmr_torch.selection.rollouts import rolled_out
 from ssmr_torch.selection.specification import Specification
 

@@ -7,8 +7,8 @@ from ssmr_torch.models.named_structures import koopman_structure
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.selection.baseline import Baseline
 from ssmr_torch.selection.baseline_choice import KINDS, choose_baseline
+from ssmr_torch.selection.folds_and_starts import Samples
 from ssmr_torch.selection.koopman_baselines import KoopmanForm
-from ssmr_torch.selection.samples import Samples
 from ssmr_torch.selection.stability import decays_at_rest
 from ssmr_torch.selection.trial import Trial
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from ssmr_torch.selection.candidate import ALL, ClosedForm
 from ssmr_torch.selection.charts import delay_chart, past_of, tangent_chart
+from ssmr_torch.selection.closed_form import ALL, ClosedForm
+from ssmr_torch.selection.folds_and_starts import Samples
 from ssmr_torch.selection.rollouts import rolled_out
-from ssmr_torch.selection.samples import Samples
 from ssmr_torch.selection.specification import Specification
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ssmr_torch.models.output_coordinates import OutputCoordinates
-from ssmr_torch.selection.choice import _coordinates
+from ssmr_torch.selection.choose import _coordinates
 from ssmr_torch.selection.coordinates import arc_length, inferred_base, offered
 
 LENGTH = 0.12

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssmr_torch.selection.candidate import ALL, ClosedForm
-from ssmr_torch.selection.fibre import SLOWEST, _realized, with_fibre
+from ssmr_torch.selection.closed_form import ALL, ClosedForm
+from ssmr_torch.selection.fast_state import SLOWEST, _realized, with_fibre
+from ssmr_torch.selection.folds_and_starts import Samples
 from ssmr_torch.selection.noise import measured_noise, recharted
 from ssmr_torch.selection.rollouts import rolled_out
-from ssmr_torch.selection.samples import Samples
 from ssmr_torch.selection.specification import Specification
 from ssmr_torch.selection.stability import decays_at_rest, stays_bounded
 

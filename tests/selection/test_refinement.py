@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ssmr_torch.selection.candidate import ALL, ClosedForm
+from ssmr_torch.selection.closed_form import ALL, ClosedForm
 from ssmr_torch.selection.refinement import Problem, _cost, _normal_equations, _weights, refine
 from ssmr_torch.selection.specification import Specification
 

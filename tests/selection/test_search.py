@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ssmr_torch.selection import search as stages
-from ssmr_torch.selection.samples import Samples
+from ssmr_torch.selection.folds_and_starts import Samples
 from ssmr_torch.selection.search import search
 from ssmr_torch.selection.specification import Specification
 from ssmr_torch.selection.trial import Trial

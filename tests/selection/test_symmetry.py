@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from ssmr_torch.selection.candidate import ClosedForm
+from ssmr_torch.selection.closed_form import ClosedForm
+from ssmr_torch.selection.folds_and_starts import FOLDS, Samples
 from ssmr_torch.selection.rollouts import rolled_out
-from ssmr_torch.selection.samples import FOLDS, Samples
 from ssmr_torch.selection.settings import SelectionSettings
 from ssmr_torch.selection.suggested_turns import suggested
 from ssmr_torch.selection.symmetry import FORMS, Symmetric, response, with_symmetry
 from ssmr_torch.selection.trial import Trial
-from ssmr_torch.turns import Turn, closed, mirror, on_markers, rotation, stated
+from ssmr_torch.symmetry_turns import Turn, closed, mirror, on_markers, rotation, stated
 
 TIMESTEP = 0.02
 CABLES = [f"cable{k}" for k in (1, 2, 3, 4)]

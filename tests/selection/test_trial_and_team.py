@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ssmr_torch.models.output_coordinates import ConstantCurvature
-from ssmr_torch.selection.candidate import ClosedForm
+from ssmr_torch.selection.closed_form import ClosedForm
+from ssmr_torch.selection.folds_and_starts import FOLDS
 from ssmr_torch.selection.rollouts import rolled_out
-from ssmr_torch.selection.samples import FOLDS
 from ssmr_torch.selection.specification import Specification
 from ssmr_torch.selection.team import LARGEST, averaged, choose_team, merged
 from ssmr_torch.selection.trial import FAR, Trial

@@ -44,10 +44,10 @@ def test_a_detour_changes_only_the_parts_near_obstacles_and_is_clear_everywhere(
         assert after.min() > 0.001 - 2e-5 and clear.min() < -0.003  # straight between the samples of the reference
 
 
-def test_a_robot_caught_between_two_circles_arrives_when_it_follows_the_detour(bench):
+def test_a_robot_caught_between_two_circles_arrives_when_it_follows_the_detour(trial):
     task, ends = across(POCKET), []
     for given in (task, detour(task, 0.0005)):
-        plant = bench.ModelPlant(bench.oscillators(), np.array([[0.0] * 4, [1.2] * 4]))
+        plant = trial.ModelPlant(trial.oscillators(), np.array([[0.0] * 4, [1.2] * 4]))
         controller = ModelPredictiveController(plant.model, given, plant.input_bounds, input_weight=1440.0)
         record = simulate(plant, controller, task)
         ends.append(np.linalg.norm(record.error[-1]))

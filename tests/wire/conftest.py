@@ -14,19 +14,19 @@ from ssmr_torch.wire.robot_end import RobotEnd
 
 
 @pytest.fixture
-def task(bench):
-    return bench.figure_eight(laps=1.0)
+def task(trial):
+    return trial.figure_eight(laps=1.0)
 
 
 @pytest.fixture
-def plant(bench):
-    return bench.ModelPlant(bench.perturbed(bench.oscillators(), 0.03))
+def plant(trial):
+    return trial.ModelPlant(trial.perturbed(trial.oscillators(), 0.03))
 
 
 @pytest.fixture
-def build(bench, task):
+def build(trial, task):
     """RobotDescription or plant → the controller of the benchmark."""
-    return lambda robot: ModelPredictiveController(bench.oscillators(), task, robot.input_bounds,
+    return lambda robot: ModelPredictiveController(trial.oscillators(), task, robot.input_bounds,
                                                   timestep=robot.timestep, output_names=robot.output_names)
 
 

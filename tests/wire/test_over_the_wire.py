@@ -12,7 +12,7 @@ from ssmr_torch.control.base import Command
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.plants.emulated_rig import Rig
-from ssmr_torch.plants.remote import RemotePlant
+from ssmr_torch.plants.remote_robot import RemotePlant
 from ssmr_torch.wire.controller_end import ControllerEnd
 from ssmr_torch.wire.link import ControllerLink, RobotLink
 from ssmr_torch.wire.messages import Kind, Message, RobotDescription, unpack

@@ -28,10 +28,10 @@ LIMIT = 120.0  # s after which a process is killed, so that no test hangs
 
 
 @pytest.fixture(scope="module")
-def shipped(bench, tmp_path_factory):
+def shipped(trial, tmp_path_factory):
     """An artifact with the names of the slow manifold, whose model knows it only roughly."""
     plant = SlowManifold()
-    return artifact.save(tmp_path_factory.mktemp("shipped") / "artifact", bench.oscillators(),
+    return artifact.save(tmp_path_factory.mktemp("shipped") / "artifact", trial.oscillators(),
                          output_names=plant.output_names, input_names=plant.input_names, rest=plant.rest,
                          input_range=plant.input_bounds)
 
@@ -86,8 +86,8 @@ def test_the_runner_steers_as_one_process_does_without_torch_scipy_hydra_and_the
 
 
 @pytest.mark.parametrize("own_task", [True, False], ids=["the design's task", "a task of the settings"])
-def test_the_runner_uses_the_controller_that_the_artifact_carries(by_hand, bench, tmp_path, own_task):
-    designed, plant, applied = by_hand(), bench.ModelPlant(bench.oscillators()), []
+def test_the_runner_uses_the_controller_that_the_artifact_carries(by_hand, trial, tmp_path, own_task):
+    designed, plant, applied = by_hand(), trial.ModelPlant(trial.oscillators()), []
     designed.card = designed.card | {"rest": [0.0] * 6, "input_names": list(plant.input_names)}
     designed.save(tmp_path / "artifact")
     more, task = [], designed.task
@@ -103,7 +103,7 @@ def test_the_runner_uses_the_controller_that_the_artifact_carries(by_hand, bench
         RobotEnd(plant, link).drive(wait=60.0)
         _, complained = running.communicate(timeout=60)
     assert running.returncode == 0, complained
-    record = simulate(bench.ModelPlant(bench.oscillators()), designed.changed(task), task)
+    record = simulate(trial.ModelPlant(trial.oscillators()), designed.changed(task), task)
     np.testing.assert_allclose(applied[:-1], record.input[:-1], atol=1e-7)
 
 

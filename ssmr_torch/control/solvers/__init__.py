@@ -33,7 +33,7 @@ def solver_named(name: str, dim: int, rows: int, **options):
                       and each is not Workspace)
         return solver(dim, rows, **options)
     if module == "qpsolvers" and chosen:
-        from ssmr_torch.control.solvers_of_qpsolvers import QPSolvers
+        from ssmr_torch.control.qpsolvers_adapter import QPSolvers
 
         return QPSolvers(chosen, **options)
     if module and chosen:

@@ -10,8 +10,8 @@ import numpy as np
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.disturbance_observer import BEYOND, FAR, PATIENCE, SETTLING, STRANGE, DisturbanceObserver
 from ssmr_torch.control.outlier_gate import AT_FIRST, MEMORY, MOST_IN_A_ROW, SIGMAS
+from ssmr_torch.deployment.c.c_text import comment, identifier, table
 from ssmr_torch.deployment.c.controller_text import ACTUATORS, HEADER, OBSERVER
-from ssmr_torch.deployment.c.literals import comment, identifier, table
 from ssmr_torch.models.base import Model
 from ssmr_torch.targets import build
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-from ssmr_torch.deployment.c.literals import Family, comment, identifier
+from ssmr_torch.deployment.c.c_text import Family, comment, identifier
 from ssmr_torch.lazy import found
 from ssmr_torch.models.base import Model
 
@@ -120,7 +120,7 @@ def _family(model: Model) -> Family:
     if model.c_source is None:
         raise ValueError(f"a {type(model).__name__} cannot be written in C, because its class names no writer. Leave c "
                          "out of the formats, or set its c_source to \"module:function\", where the function makes a "
-                         "ssmr_torch.deployment.c.literals.Family of the model")
+                         "ssmr_torch.deployment.c.c_text.Family of the model")
     return found(model.c_source)(model)
 
 

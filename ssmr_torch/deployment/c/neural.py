@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssmr_torch.deployment.c.literals import Family, product, table, times
+from ssmr_torch.deployment.c.c_text import Family, product, table, times
 from ssmr_torch.deployment.c.steps import FLOW, flow_scratch
 from ssmr_torch.models.neural import NeuralModel
 

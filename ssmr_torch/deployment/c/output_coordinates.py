@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.deployment.c.literals import table
+from ssmr_torch.deployment.c.c_text import table
 from ssmr_torch.models.output_coordinates import ARCTANGENT, COSINE, HALVINGS, SINC, SINC_SLOPE, SPREAD, TINY
 from ssmr_torch.models.polynomial import PolynomialModel
 

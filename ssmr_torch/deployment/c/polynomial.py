@@ -9,11 +9,11 @@ import numpy as np
 
 from ssmr_torch.deployment.c import output_coordinates as bent
 from ssmr_torch.deployment.c import polynomial_text as text
-from ssmr_torch.deployment.c.literals import Family, product, table, times
+from ssmr_torch.deployment.c.c_text import Family, product, table, times
 from ssmr_torch.deployment.c.steps import FLOW, flow_scratch, map_scratch, map_steps
+from ssmr_torch.models.held_input import derivative_table, output_table, products, reach, split, trimmed
 from ssmr_torch.models.monomials import Form, Monomials, without
 from ssmr_torch.models.polynomial import PolynomialModel
-from ssmr_torch.models.split import derivative_table, output_table, products, reach, split, trimmed
 
 
 class Piece(NamedTuple):

@@ -30,7 +30,7 @@ static double saturated(double z, double within, double *bend)
 """
 
 # The rate f(z, u) = (free + sum of u^q field_q) . powers of z. Each field consists of runs of neighbouring columns, see
-# `ssmr_torch.models.split`. Its first QF columns, and the first QS of its Jacobian, are held over a step.
+# `ssmr_torch.models.held_input`. Its first QF columns, and the first QS of its Jacobian, are held over a step.
 HELD = """\
 typedef struct {
     double inputs[QU], rate[QF * R];

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ssmr_torch.deployment.c.literals import Family, product, table, times
+from ssmr_torch.deployment.c.c_text import Family, product, table, times
 from ssmr_torch.deployment.c.steps import map_scratch, map_steps
 from ssmr_torch.models.piecewise_linear import PiecewiseLinearModel
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ssmr_torch.data.datamodule import TrajectoryDataModule
-from ssmr_torch.fitting.constructors import sized_model
+from ssmr_torch.fitting.constructor_checks import sized_model
 from ssmr_torch.fitting.gauss_newton import GaussNewtonFit
 from ssmr_torch.fitting.training import koopman_least_squares, least_squares, train
 from ssmr_torch.models.koopman import Koopman

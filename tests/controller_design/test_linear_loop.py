@@ -9,7 +9,7 @@ from oscillators import Actuators, Oscillators
 
 import ssmr_torch as ssmr
 from ssmr_torch.control.disturbance_observer import DisturbanceObserver
-from ssmr_torch.controller_design.loops import Point
+from ssmr_torch.controller_design.linear_loop import Point
 from ssmr_torch.controller_design.noises import Noises
 
 DELAY, LAG = 2, 0.04

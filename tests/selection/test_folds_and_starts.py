@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ssmr_torch.selection.samples import FOLDS, HORIZONS, STRONGER, Samples
+from ssmr_torch.selection.folds_and_starts import FOLDS, HORIZONS, STRONGER, Samples
 
 
 def numbered(lengths=(700, 450, 120), decays=(160, 90), timestep=0.02, **more):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from ssmr_torch.models.held_input import Split, split
 from ssmr_torch.models.monomials import Form, Monomials
-from ssmr_torch.models.split import Split, split
 
 
 def any_form(seed: int) -> tuple[Form, int]:

@@ -1,8 +1,4 @@
-"""Reader of stored trajectory files, for `data=stored`.
-
-Every reader of recordings returns a dataset in SI units, measured from rest, without seams, on a uniform time grid. Its
-keyword arguments are the keys of the data configuration.
-"""
+"""Trajectories as the package stores them: one `.h5` file, or several of the same robot."""
 
 from __future__ import annotations
 
@@ -12,11 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ssmr_torch.data.card_reader import custom
 from ssmr_torch.data.recording import fingerprint
 from ssmr_torch.trajectory import TrajectoryDataset
-
-__all__ = ["custom", "stored"]
 
 
 def stored(path: str | Path | Sequence[str | Path]) -> TrajectoryDataset:

@@ -16,8 +16,8 @@ import numpy as np
 from ssmr_torch.models.batch_rollout import batch_of
 from ssmr_torch.models.monomials import Monomials
 from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.selection.folds_and_starts import FOLDS, Samples
 from ssmr_torch.selection.least_squares import Moments
-from ssmr_torch.selection.samples import FOLDS, Samples
 from ssmr_torch.selection.windows import longer_window
 
 AHEAD, WINDOW = 12, 10    # number of residual samples that are explained; number of past samples that explain them

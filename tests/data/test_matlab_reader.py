@@ -10,8 +10,9 @@ import yaml
 from omegaconf import OmegaConf
 
 from ssmr_torch.configuration import composed
-from ssmr_torch.data import readers
-from ssmr_torch.data.matlab import read_koopman_struct, read_ssmlearn_cells
+from ssmr_torch.data.card_reader import custom
+from ssmr_torch.data.matlab_reader import read_koopman_struct, read_ssmlearn_cells
+from ssmr_torch.data.stored_trajectories import stored
 
 DATA = Path(os.environ.get("SSMR_TORCH_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA}")
@@ -146,11 +147,11 @@ def test_the_standard_examples_of_the_field_are_read(file, count):
     assert all(len(t) == len(y) and (np.diff(t) > 0).all() and np.isfinite(y).all() for t, y in cells)
 
 
-@pytest.mark.parametrize("name", readers.__all__)
-def test_the_composed_configuration_spells_out_every_argument_with_its_default(name):
-    config = OmegaConf.to_container(composed("train", [f"data={name}"]).data)
-    assert config.pop("_target_") == f"ssmr_torch.data.readers.{name}"
-    parameters = inspect.signature(getattr(readers, name)).parameters
+@pytest.mark.parametrize("reader", [stored, custom])
+def test_the_composed_configuration_spells_out_every_argument_with_its_default(reader):
+    config = OmegaConf.to_container(composed("train", [f"data={reader.__name__}"]).data)
+    assert config.pop("_target_") == f"{reader.__module__}.{reader.__name__}"
+    parameters = inspect.signature(reader).parameters
     assert set(config) == set(parameters)
     for key, parameter in parameters.items():
         default = parameter.default
@@ -170,6 +171,6 @@ def test_a_standard_example_sampled_every_95_microseconds_needs_its_own_interval
             "units": {"length": "m"}, "rest": [0], "decays": ["beam"], "seams": {}}
     (tmp_path / "card.yaml").write_text(yaml.safe_dump(card))
     with pytest.raises(ValueError, match="interval_range"):
-        readers.custom(tmp_path / "card.yaml")
+        custom(tmp_path / "card.yaml")
     (tmp_path / "card.yaml").write_text(yaml.safe_dump(card | {"interval_range": [1e-5, 0.1]}))
-    assert readers.custom(tmp_path / "card.yaml").timestep == pytest.approx(np.median(np.diff(time)), rel=1e-3)
+    assert custom(tmp_path / "card.yaml").timestep == pytest.approx(np.median(np.diff(time)), rel=1e-3)

@@ -11,17 +11,17 @@ from ssmr_torch.lazy import found
 from ssmr_torch.models.output_coordinates import OutputCoordinates
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.selection.coordinates import offered
+from ssmr_torch.selection.folds_and_starts import MOST, SCOUTED, Samples
 from ssmr_torch.selection.noise import measured_noise, recharted
 from ssmr_torch.selection.refinement import refined
 from ssmr_torch.selection.report import facts, sentences
-from ssmr_torch.selection.samples import MOST, SCOUTED, Samples
 from ssmr_torch.selection.search import search
 from ssmr_torch.selection.settings import SelectionSettings
 from ssmr_torch.selection.specification import Specification
 from ssmr_torch.selection.symmetry import with_symmetry
 from ssmr_torch.selection.team import averaged, choose_team, merged, stable_pool
 from ssmr_torch.selection.trial import Outcome, Trial
-from ssmr_torch.turns import Turn
+from ssmr_torch.symmetry_turns import Turn
 
 POOL = 12          # number of the best stable specifications, from which a team is chosen
 RECONSIDERED = 40  # number of the best specifications that are scored again with all starts and more rows

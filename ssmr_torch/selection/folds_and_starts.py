@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssmr_torch.models.output_coordinates import OutputCoordinates
-from ssmr_torch.turns import Turn
+from ssmr_torch.symmetry_turns import Turn
 
 FOLDS = 4
 PIECE = 3.0            # length in s of a piece that one fold holds out

@@ -18,8 +18,8 @@ from ssmr_torch.selection.charts import (
     tangent_chart,
 )
 from ssmr_torch.selection.features import flow_monomials
+from ssmr_torch.selection.folds_and_starts import FOLDS, Samples
 from ssmr_torch.selection.least_squares import Moments, by_fold
-from ssmr_torch.selection.samples import FOLDS, Samples
 from ssmr_torch.selection.specification import Specification
 
 LINEAR_RIDGE = 1e-9

@@ -5,7 +5,7 @@ import pytest
 from oscillators import MIXED, PULL, SIGNED, Oscillators, recordings
 
 from ssmr_torch.controller_design.model_choice import all_tried, choose_predictive, horizon_error, spectral_radii
-from ssmr_torch.controller_design.predictive import Form, held_error
+from ssmr_torch.controller_design.predictive_chart import Form, held_error
 from ssmr_torch.controller_design.recordings import recordings_of
 
 NOISY = {"of_sensor": 3e-5, "of_inputs": 0.01, "cubic": 100.0}

@@ -9,7 +9,7 @@ import numpy as np
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.disturbance_observer import DisturbanceObserver
 from ssmr_torch.control.mpc_settings import PredictiveControlSettings
-from ssmr_torch.controller_design.loops import Weights
+from ssmr_torch.controller_design.linear_loop import Weights
 from ssmr_torch.controller_design.noises import Likelihood, Observer
 from ssmr_torch.controller_design.recordings import Recordings
 
