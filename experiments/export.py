@@ -13,8 +13,8 @@ OF_PUBLISHED = ("output_names", "input_names", "rest", "length_unit", "input_uni
 @entry_point("export")
 def main(config, directory):
     from ssmr_torch.deployment.artifact import DEPLOYED
-    from ssmr_torch.deployment.artifact_with_forms import save_with_forms, source_of
-    from ssmr_torch.deployment.deploy import deploy
+    from ssmr_torch.deployment.export_of_artifact import save_with_forms, source_of
+    from ssmr_torch.deployment.exported_programs import deploy
 
     formats = [config.formats] if isinstance(config.formats, str) else list(config.formats or [])
     source = source_of(config.artifact, config.checkpoint, config.mat)

@@ -25,7 +25,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from ssmr_torch import found_settings, option_tables
-from ssmr_torch.defaults import is_library, keyword_defaults
+from ssmr_torch.defaults_of_signatures import is_library, keyword_defaults
 from ssmr_torch.renamed import refuse_old_names
 
 HERE = Path(__file__).resolve().parent

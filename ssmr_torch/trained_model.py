@@ -232,7 +232,7 @@ class TrainedModel(DataSheet):
         Raises ValueError for an unknown format, for one that this model does not support, for one whose packages are
         missing, and for a folder with other files. In all these cases nothing is written.
         """
-        from ssmr_torch.deployment.deploy import deploy
+        from ssmr_torch.deployment.exported_programs import deploy
 
         if not formats or not all(isinstance(format, str) for format in formats):
             raise ValueError('no formats were given by name; expected one or more, for example '

@@ -14,7 +14,7 @@ from hydra.errors import ConfigCompositionException
 from omegaconf import OmegaConf
 
 from ssmr_torch import configuration, option_tables
-from ssmr_torch.defaults import is_library, keyword_defaults
+from ssmr_torch.defaults_of_signatures import is_library, keyword_defaults
 from ssmr_torch.extras import remedy
 
 CONF = configuration.folder()

@@ -6,7 +6,7 @@ import ast
 import difflib
 from pathlib import Path
 
-from ssmr_torch.defaults import keyword_defaults
+from ssmr_torch.defaults_of_signatures import keyword_defaults
 
 NAMES = ("fit", "step", "comparison", "scaling", "endurance", "hostile", "plant", "robots", "obstacles", "designed",
          "disturbed", "libraries")

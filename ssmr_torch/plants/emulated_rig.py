@@ -9,7 +9,7 @@ import numpy as np
 from ssmr_torch.keywords import configurable
 from ssmr_torch.periods import whole_multiple
 from ssmr_torch.plants.base import Plant, PlantSheet, finite_vector
-from ssmr_torch.plants.emulated_actuators import EmulatedActuators, Forces
+from ssmr_torch.plants.emulated_friction_and_lag import EmulatedActuators, Forces
 from ssmr_torch.settings import non_negative
 
 DROPPED = ("held", "missing")

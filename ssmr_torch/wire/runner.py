@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ssmr_torch.defaults import keyword_defaults
+from ssmr_torch.defaults_of_signatures import keyword_defaults
 from ssmr_torch.deployment import artifact
 from ssmr_torch.extras import remedy
 from ssmr_torch.lazy import found

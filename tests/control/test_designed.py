@@ -13,7 +13,7 @@ from ssmr_torch import tasks
 from ssmr_torch.control.designed import DesignedController
 from ssmr_torch.control.kalman_observers import KalmanObserver
 from ssmr_torch.deployment import artifact
-from ssmr_torch.deployment.deploy import deploy
+from ssmr_torch.deployment.exported_programs import deploy
 from ssmr_torch.targets import build, written
 
 

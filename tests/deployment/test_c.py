@@ -14,7 +14,7 @@ from ssmr_torch.deployment import artifact
 from ssmr_torch.deployment.c.c_text import comment, identifier, table
 from ssmr_torch.deployment.c.compiled_library import compiler
 from ssmr_torch.deployment.c.model_source import write_c
-from ssmr_torch.deployment.deploy import check_c
+from ssmr_torch.deployment.exported_programs import check_c
 from ssmr_torch.deployment.reference_batch import Sought, check, expected, horizon_inputs
 
 

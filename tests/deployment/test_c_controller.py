@@ -14,7 +14,7 @@ from ssmr_torch.deployment import artifact
 from ssmr_torch.deployment.c.compiled_library import FLAGS, compile_library, compiler
 from ssmr_torch.deployment.c.controller import write_controller
 from ssmr_torch.deployment.c.controller_library import CompiledController, differences
-from ssmr_torch.deployment.deploy import deploy
+from ssmr_torch.deployment.exported_programs import deploy
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler is at hand")
 

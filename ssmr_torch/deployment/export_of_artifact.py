@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ssmr_torch.deployment import artifact
-from ssmr_torch.deployment.deploy import Form, deploy
+from ssmr_torch.deployment.exported_programs import Form, deploy
 from ssmr_torch.models.base import Model
 from ssmr_torch.provenance import fingerprint, provenance
 

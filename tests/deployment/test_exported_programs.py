@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from ssmr_torch.deployment import artifact, deploy
+from ssmr_torch.deployment import artifact
+from ssmr_torch.deployment import exported_programs as deploy
 from ssmr_torch.deployment.c import compiled_library as c_library
 
 EXPORT = Path(__file__).resolve().parents[2] / "experiments" / "export.py"
