@@ -38,7 +38,7 @@ HOMES = {
     "soromox": ["plants/isupport.py", "plants/planar_hsa.py"],
     "jax": ["plants/isupport.py", "plants/planar_hsa.py", "plants/soromox_robot.py"],
     "proxsuite": ["control/solvers/proxqp.py"], "daqp": ["control/solvers/daqp.py"],
-    "qpsolvers": ["control/qpsolvers_adapter.py", "benchmarks/comparison.py"],
+    "qpsolvers": ["control/qpsolvers_adapter.py"],
     "safetensors": ["deployment/artifact.py"],
     "onnx": ["deployment/onnx_program.py"], "onnxruntime": ["deployment/onnx_program.py"],
     "casadi": ["deployment/casadi_program.py", "benchmarks/other_solvers.py"],

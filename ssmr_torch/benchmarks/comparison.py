@@ -15,12 +15,11 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numpy as np
-import qpsolvers
 
 from ssmr_torch.benchmarks.other_solvers import Acados, Unavailable, casadi_rti, ipopt
 from ssmr_torch.benchmarks.tracking_instance import measure, predictive
 from ssmr_torch.control.mpc import ModelPredictiveController
-from ssmr_torch.control.qpsolvers_adapter import QPSolvers
+from ssmr_torch.control.qpsolvers_adapter import QPSolvers, qpsolvers
 
 # Tight enough for the residuals of 1e-5 that we accept; what the solvers do by themselves differs widely.
 PRECISE = {
