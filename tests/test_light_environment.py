@@ -1,4 +1,4 @@
-"""The environment of a robot, made by the line that README documents: small, and enough for an artifact to control."""
+"""The environment of a robot, made by the line of the installation page: small, and enough for an artifact to control."""
 
 import json
 import os
@@ -26,8 +26,8 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def light(wheel, tmp_path_factory):
-    """A fresh environment after `pip install 'ssmr_torch[wire]'`, as README has it, of the wheel."""
-    assert "| `pip install 'ssmr_torch[wire]'` |" in (ROOT / "README.md").read_text()
+    """A fresh environment after `pip install 'ssmr_torch[wire]'` of the wheel, as docs/installation.md shows it."""
+    assert "| `pip install 'ssmr_torch[wire]'` |" in (ROOT / "docs" / "installation.md").read_text()
     at = tmp_path_factory.mktemp("light")
     subprocess.run([sys.executable, "-m", "venv", at], check=True)
     subprocess.run([at / "bin" / "pip", "install", "--quiet", f"{wheel}[wire]"], check=True)

@@ -35,7 +35,7 @@ def test_what_may_not_be_imported_is_not_there():
     (ROBOT, ["deployment.artifact", "control.mpc", "control.kalman_observers", "control.designed",
              "control.disturbance_observer", "control.solvers.proxqp", "wire.runner", "tasks.references"]),
     ({"numpy", "safetensors", "zmq"}, ["wire.runner", "wire.serving", "wire.link", "wire.robot_end"]),
-    ({"numpy", "safetensors"}, ["deployment.deploy"]),
+    ({"numpy", "safetensors"}, ["deployment.exported_programs"]),
     ({"numpy"}, ["evaluation.open_loop", "evaluation.metrics"]),
     (ROBOT | {"h5py", "tqdm", "scipy"}, ["closed_loop.simulation", "trajectory", "plants.slow_manifold", "plants.trunk",
                                          "plants.emulated_rig"]),
