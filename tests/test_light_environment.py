@@ -1,4 +1,4 @@
-"""The environment of a robot, made by the line of the installation page: small, and enough for an artifact to control."""
+"""The environment of a robot, made by a line of the installation page: small, and enough for an artifact to control."""
 
 import json
 import os
