@@ -115,8 +115,9 @@ import numpy as np
 from ssmr_torch.plants.slow_manifold import SlowManifold
 plant = SlowManifold()
 positions, TIMESTEP, SAFE_INPUT = [plant.reset()], plant.timestep, [0.0] * 4
-CARD = {{"name": plant.name, "output_names": list(plant.output_names), "input_names": list(plant.input_names),
-        "timestep": TIMESTEP, "rest": plant.rest.tolist(), "input_bounds": plant.input_bounds.tolist()}}
+DESCRIPTION = {{"name": plant.name, "output_names": list(plant.output_names), "timestep": TIMESTEP,
+               "input_names": list(plant.input_names), "rest": plant.rest.tolist(),
+               "input_bounds": plant.input_bounds.tolist()}}
 measure = lambda: positions[-1]
 apply = lambda u: positions.append(plant.step(np.array(u)))
 {example.replace("tcp://127.0.0.1:5555", line.split()[-1])}
