@@ -55,13 +55,13 @@ def test_every_module_and_every_configuration_is_in_the_wheel(wheel):
     scripts_of_the_checkout = ("hydra_plugins/",)
     wanted = {name for name in wanted
               if not name.removeprefix("ssmr_torch/experiments/").startswith(scripts_of_the_checkout)}
-    assert wanted | {"hydra_plugins/study_sweeper.py"} <= inside
+    assert wanted | {"hydra_plugins/search_sweeper.py"} <= inside
     assert {name.split("/")[0] for name in inside if ".dist-info" not in name} == {"ssmr_torch", "hydra_plugins"}
 
 
 def test_the_package_that_runs_is_the_wheels(installed, line):
     target, environment = installed
-    code = ("import hydra_plugins.study_sweeper as plugin, ssmr_torch, ssmr_torch.conf as conf, "
+    code = ("import hydra_plugins.search_sweeper as plugin, ssmr_torch, ssmr_torch.conf as conf, "
             "ssmr_torch.experiments.train as train; print(plugin.__file__, ssmr_torch.__file__, conf.__file__, "
             "train.__file__, sep='\\n')")
     places = subprocess.run([sys.executable, "-c", code], cwd=line, env=environment, capture_output=True, text=True,

@@ -12,7 +12,7 @@ import pytest
 
 from ssmr_torch.deployment import artifact
 from ssmr_torch.deployment.c.c_text import comment, identifier, table
-from ssmr_torch.deployment.c.compiled_library import compiler
+from ssmr_torch.deployment.c.compiled_library import CLibrary, compile_library, compiler
 from ssmr_torch.deployment.c.model_source import write_c
 from ssmr_torch.deployment.exported_programs import check_c
 from ssmr_torch.deployment.reference_batch import Sought, check, expected, horizon_inputs
@@ -181,3 +181,20 @@ def test_only_differences_as_large_as_the_models_own_rounding_are_allowed(compil
     window[:, 0, 1] = window[:, 0, 0] * (1.0 - 1e-6)
     found = expected(replace(model, chart=chart), batch | {"window": window})
     assert 1e-10 < found["encode"].tolerance < 1e-8 and found["step"].tolerance == 1e-12
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler")
+def test_a_function_may_need_more_stack_than_a_process_has(tmp_path):
+    (tmp_path / "deep.c").write_text("""
+void deep_step(const double *z, const double *u, double *next)
+{
+    double work[4 << 20];  /* 32 MB */
+    int i;
+    for (i = 0; i < 4 << 20; i++)
+        work[i] = z[0] + u[0];
+    next[0] = work[i - 1];
+}
+""")
+    compile_library(tmp_path / "deep.c", tmp_path / "deep.so")
+    library = CLibrary(tmp_path / "deep.so", "deep", None)
+    assert library.call("step", ([1.0], [2.0]), [(1,)])[0] == 3.0

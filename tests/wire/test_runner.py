@@ -45,13 +45,15 @@ def settings(tmp_path):
 
 @contextmanager
 def process(*command, cwd=None):
-    """A process and the address in the first line that it prints."""
+    """A process and the address that it prints, perhaps after the settings that were found for it."""
     running = subprocess.Popen(list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                                cwd=cwd)
     watchdog = threading.Timer(LIMIT, running.kill)
     watchdog.start()
     try:
         line = running.stdout.readline()
+        if "found settings" in line:
+            line = running.stdout.readline()
         assert "tcp://" in line, line + running.stderr.read()
         yield running, line.split()[-1]
     finally:

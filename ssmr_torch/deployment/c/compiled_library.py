@@ -6,6 +6,8 @@ import ctypes
 import os
 import shutil
 import subprocess
+import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,9 @@ import numpy as np
 from ssmr_torch.models.base import Model
 
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
+# The scratch memory of a model lies on the stack. A model of some 200 states needs 35 MB, more than a process has by
+# itself. Memory that is not used is not taken.
+STACK = 256 * 2**20  # bytes
 
 
 def compiler() -> str | None:
@@ -31,6 +36,17 @@ def compile_library(source: Path, library: Path, flags: tuple[str, ...] = FLAGS,
     if done.returncode:
         raise ValueError(f"{compiler()} cannot compile {source.name}:\n{done.stderr[:2000]}")
     return done.stderr
+
+
+def with_large_stack(function: Callable, *arguments) -> None:
+    """Call a C function in a thread that has `STACK` bytes of stack."""
+    before = threading.stack_size(STACK)
+    try:
+        thread = threading.Thread(target=function, args=arguments)
+        thread.start()
+    finally:
+        threading.stack_size(before)
+    thread.join()
 
 
 class CLibrary:
@@ -53,7 +69,7 @@ class CLibrary:
         inputs = [np.ascontiguousarray(array, dtype=np.float64) for array in arguments]
         outputs = [np.full(shape, np.nan) for shape in shapes]
         pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (*inputs, *outputs)]
-        self.raw(function)(*(ctypes.c_int(value) for value in before), *pointers)
+        with_large_stack(self.raw(function), *(ctypes.c_int(value) for value in before), *pointers)
         return outputs
 
     def encode(self, window: np.ndarray, inputs: np.ndarray) -> np.ndarray:
