@@ -244,7 +244,6 @@ def configurations():
 
 @pytest.mark.parametrize(("name", "words"), list(documented()))
 def test_every_documented_command_composes(name, words, configurations):
-    
     overrides = OverridesParser.create().parse_overrides([word for word in words if word != "--multirun"])
     single = [f"{override.input_line.partition('=')[0]}={next(iter(override.sweep_string_iterator()))}"
               if override.is_sweep_override() else override.input_line for override in overrides]

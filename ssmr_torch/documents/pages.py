@@ -6,13 +6,13 @@ docs/numbers/NAME.json and never by hand.
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
 
 from ssmr_torch.documents.store import FOLDER, Numbers, read_all
 from ssmr_torch.documents.stray_numbers import allowed, stray_numbers
+from ssmr_torch.result_files import save_text
 
 BLOCK = re.compile(r"<!-- numbers: (?P<name>[^\s>]*) -->\n(?P<body>.*?)(?P<end><!-- end -->|(?=<!-- numbers: )|\Z)",
                    re.DOTALL)
@@ -59,9 +59,7 @@ def render_pages(root: Path) -> list[Path]:
         if new != old:
             texts[path] = new
     for path, text in texts.items():
-        aside = path.with_name(path.name + ".part")
-        aside.write_text(text, encoding="utf-8")
-        os.replace(aside, path)
+        save_text(path, text)
     return list(texts)
 
 

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -38,15 +39,14 @@ def compile_library(source: Path, library: Path, flags: tuple[str, ...] = FLAGS,
     return done.stderr
 
 
-def with_large_stack(function: Callable, *arguments) -> None:
-    """Call a C function in a thread that has `STACK` bytes of stack."""
+def with_large_stack(function: Callable, *arguments):
+    """function(*arguments), a C function, called in a thread that has `STACK` bytes of stack. Raises what it raises."""
     before = threading.stack_size(STACK)
     try:
-        thread = threading.Thread(target=function, args=arguments)
-        thread.start()
+        with ThreadPoolExecutor(1) as thread:
+            return thread.submit(function, *arguments).result()
     finally:
         threading.stack_size(before)
-    thread.join()
 
 
 class CLibrary:

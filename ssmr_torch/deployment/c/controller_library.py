@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+from functools import partial
 
 import numpy as np
 
 from ssmr_torch.control.actuator import ActuatorState
+from ssmr_torch.deployment.c.compiled_library import with_large_stack
 from ssmr_torch.deployment.c.controller import CController
 
 
@@ -29,7 +31,7 @@ class CompiledController:
                 ("queue", ctypes.c_double * (m * max(1, written.actuator.delay))), ("oldest", ctypes.c_int)]
 
         self.observer, self.actuators, self.acting = Observer(), Actuators(), np.zeros(m)
-        self._call = lambda name: getattr(library, f"{written.name}_{name}")
+        self._call = lambda name: partial(with_large_stack, getattr(library, f"{written.name}_{name}"))
         self._call("observe_reset")(ctypes.byref(self.observer))
 
     def observe(self, y: np.ndarray, acting: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
