@@ -231,6 +231,7 @@ class Acados(OtherController):
         self._states, self._inputs = np.zeros((self.N + 1, self.n)), np.zeros((self.N, self.m))
 
     def plan(self, state, reference):
+        """One real-time iteration of acados from state (n,) to the outputs reference (N, q), m."""
         solver, target = self._solver, np.zeros(len(self.columns) + self.m)
         for k in range(self.N):
             solver.set(k, "x", self._states[k])

@@ -85,6 +85,7 @@ class _Candidates:
         self.extra = max(1, int(allowed))
 
     def all(self, tell: Callable[[int], None]) -> list[Design]:
+        """Every design of the grid with its margins; tell(1) is called after each."""
         found = []
         for states, disturbance, sensor in product(OF_STATES, OF_DISTURBANCE, OF_SENSOR):
             try:

@@ -17,28 +17,16 @@ DATA = Path(os.environ.get("SSMR_TORCH_DATA", Path(__file__).resolve().parents[3
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA}")
 
 
-def decay(count=120, outputs=3, timestep=0.01, size=10.0):
-    """Time (T,) and a damped oscillation (T, p) about zero, mm."""
-    t = timestep * np.arange(count)
-    phases = np.arange(outputs)
-    return t, size * np.exp(-4 * t)[:, None] * np.cos(25 * t[:, None] + phases)
-
-
-def object_array(rows):
-    cells = np.empty((len(rows), len(rows[0])), dtype=object)
-    for i, row in enumerate(rows):
-        for j, array in enumerate(row):
-            cells[i, j] = np.atleast_2d(array)
-    return cells
-
-
 def glued_diamond(folder, seam=3686, count=3900, scale=1.0):
     rng = np.random.default_rng(0)
     t = 0.01 * np.arange(count)
     y = 10 * np.stack([np.sin(3 * t), np.cos(2 * t), np.sin(t)], axis=1) + 1e-3 * rng.normal(size=(count, 3))
     y[seam:] = y[seam:][:, [1, 2, 0]] + 15
     inputs = 1000 * rng.uniform(size=(count, 4))
-    cells = object_array([(a, scale * b.T) for a, b in [decay(), decay(90)]])
+    cells = np.empty((2, 2), dtype=object)
+    for row, samples in zip(cells, (120, 90)):
+        time = 0.01 * np.arange(samples)
+        row[:] = time[None], scale * 10 * np.exp(-4 * time) * np.cos(25 * time + np.arange(3)[:, None])
     scipy.io.savemat(folder / "controlled.mat", {"t": t, "y": scale * y, "u": inputs})
     scipy.io.savemat(folder / "decays.mat", {"oData": cells, "y_eq": np.zeros((1, 3))})
 
