@@ -6,7 +6,15 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    FiniteFloat,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from ssmr_torch.data.card_file import Card, not_as_described, read_card, refuse_unknown
 from ssmr_torch.data.sampling import IRREGULAR
@@ -25,7 +33,18 @@ def _rising(bounds: list[float]) -> list[float]:
 
 
 Span = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2), AfterValidator(_rising)]
-Name = Annotated[str, Field(coerce_numbers_to_str=True)]  # YAML reads 7 as a number
+
+
+def _name(given: object) -> object:
+    """The name of a run; YAML reads 7 as a number, of which the text is known, and 1.10 as another, of which it is not.
+    """
+    if isinstance(given, bool | float) or given is None:
+        raise ValueError(f"a run is named {given!r}, which YAML does not read as text; write the name in quotes, as "
+                         f"\"{given}\"")
+    return str(given) if isinstance(given, int) else given
+
+
+Name = Annotated[str, BeforeValidator(_name)]
 
 
 class Columns(Card):
@@ -63,7 +82,7 @@ class RecordingCard(Card):
     see `ssmr_torch.symmetry_turns.stated`.
     """
 
-    files: list[str] = Field(min_length=1, description="the names of one file or more")
+    files: list[str] = Field(min_length=1, description="the names of one file or more, or patterns such as '*.csv'")
     columns: Columns = Field(description="keys and values, as {observation: [x, y], input: [u]}")
     units: Units = Field(description="keys and values, as {length: mm}")
     rest: list | str = Field(description="a vector, " + " or ".join(map(repr, RESTS)))
@@ -112,6 +131,18 @@ class RecordingCard(Card):
             raise ValueError(f"rest is {rest!r}; expected {count} numbers in {info.data['units'].length}, one for each "
                              "observation column")
         return numbers
+
+    @model_validator(mode="after")
+    def _one_split_each(self) -> Self:
+        for key, names in {"decays": self.decays, "centred": self.centred,
+                           "split": [name for runs in self.split.values() for name in runs]}.items():
+            twice = sorted({name for name in names if names.count(name) > 1})
+            if twice:
+                where = [f"{key}.{split}" for split, runs in self.split.items() if twice[0] in runs] if key == "split" \
+                    else [key]
+                raise ValueError(f"{key} names the run {twice[0]!r} twice, in {' and '.join(where)}; expected each run "
+                                 "once")
+        return self
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
