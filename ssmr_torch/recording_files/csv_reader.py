@@ -98,7 +98,8 @@ def _header(rows: list[str], delimiter: str, decimal: str, file: str) -> tuple[i
     block = cells[top:last + 1]
     if first == len(cells) or (last + 1 == first == len(cells)):
         first = last + 1
-    units = next((row for row in block[1:] if says_units(row)), block[1] if len(block) == 2 else [])
+    grouped = len(block) > 1 and _filled(block[0]) < _filled(block[1])
+    units = next((row for row in block[1:] if says_units(row)), block[1] if len(block) == 2 and not grouped else [])
     names = [row for row in block if row is not units]
     joined = [name.strip() for name in names[0]] if len(names) == 1 else _joined(names)
     return top, joined, units, last + 1
@@ -113,6 +114,10 @@ def _joined(rows: list[list[str]]) -> list[str]:
         above = rows[0][place].strip() or above if place < len(rows[0]) else above
         parts.append("_".join(filter(None, (above, below.strip()))))
     return parts
+
+
+def _filled(cells: list[str]) -> int:
+    return sum(bool(cell.strip()) for cell in cells)
 
 
 def _each_once(names: list[str]) -> list[str]:
