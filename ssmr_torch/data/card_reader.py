@@ -13,7 +13,9 @@ from ssmr_torch.data.recording_card import RecordingCard, read_recording_card
 from ssmr_torch.data.sampling import SamplingRule
 from ssmr_torch.data.units import Plausible
 from ssmr_torch.recording_clocks.seconds import clock_of
-from ssmr_torch.recording_faults.mending import mended
+from ssmr_torch.recording_faults.copies import without_copies
+from ssmr_torch.recording_faults.mending import compared, mended
+from ssmr_torch.recording_faults.moving_decays import moving_decays
 from ssmr_torch.recording_faults.recording import Recording
 from ssmr_torch.recording_files.reading import read_tables
 from ssmr_torch.recording_files.table import Table
@@ -36,9 +38,13 @@ def custom(card: str | Path) -> TrajectoryDataset:
     plausible = Plausible(tuple(described.range), tuple(described.interval_range), described.largest_input)
     # Before the rest position: resting samples are found by how long they last.
     refuse_wrong_clock(recordings, described.units, plausible)
+    rules = described.rules
+    recordings = mended(moving_decays(recordings, described.columns.input, rules.moving_decays), rules,
+                        described.missing)
     rest, assumed = _rest(recordings, described)
-    recordings = mended(recordings, rest)
-    rule = SamplingRule(described.sampling, described.timestep, described.irregularity, described.missing,
+    recordings = compared(recordings, rest, rules, described.units.scale("length"), described.units.length,
+                          described.rest == "last sample of decays")
+    rule = SamplingRule(described.sampling, described.timestep, described.irregularity, "refuse",
                         described.minimum_length)
     provenance = {"reader": "custom", "sources": fingerprint(path, *files), "assumptions": [
         f"Lengths in {described.units.length}, inputs in {described.units.input}, time in "
@@ -46,8 +52,9 @@ def custom(card: str | Path) -> TrajectoryDataset:
         assumed, "Each input is held until the next sample and acts after the observation of its row."]}
     if described.symmetry:
         provenance["symmetry"] = described.symmetry
-    return assemble(recordings, rest, described.columns.observation, described.columns.input, described.units, rule,
-                    provenance, plausible)
+    dataset = assemble(recordings, rest, described.columns.observation, described.columns.input, described.units, rule,
+                       provenance, plausible)
+    return without_copies(dataset, rules.copies)
 
 
 def _runs(files: list[Path], card: RecordingCard) -> dict[str, Table]:
@@ -86,7 +93,7 @@ def _recording(name: str, table: Table, card: RecordingCard) -> Recording:
         "decay" if name in card.decays else "controlled",
         next((split for split, runs in card.split.items() if name in runs), "train"), name in card.centred,
         "auto" if card.seams == "auto" else tuple(card.seams.get(name, [])), rows=clock.rows,
-        notes=(*table.notes, *clock.notes))
+        notes=(*table.notes, *clock.notes), output_names=tuple(card.columns.observation))
 
 
 def _rest(recordings: list[Recording], card: RecordingCard) -> tuple[np.ndarray, str]:
