@@ -29,13 +29,17 @@ def _unit_of(key: str):
 
 
 class Units(Card):
-    """Units of the file; everything becomes m, N and s. Input "1" stands for normalized commands."""
+    """Units of the file; everything becomes m, N and s. Input "1" stands for normalized commands.
+
+    input_time: of the stamps of inputs in a file of their own; `time` by default.
+    """
 
     part: ClassVar[str] = "units"
 
     length: _unit_of("length")
     input: _unit_of("input") = "N"
     time: _unit_of("time") = "s"
+    input_time: _unit_of("time") | None = Field(None, description=f"one of {list(UNITS['time'])}")
 
     @property
     def input_inside(self) -> str:

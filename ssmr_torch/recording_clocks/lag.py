@@ -143,3 +143,9 @@ def _best(lags: np.ndarray, errors: np.ndarray, without: np.ndarray) -> Lag:
     needed = CLEAR if abs(lags[best]) > 1 else CLEAR_ONE
     clear = lags[none] == 0 and total[none] > (1 + needed) * total[best] and mean[none] > SURE * spread[none]
     return Lag(int(lags[best]), int(lags[low]), int(lags[high]), bool(clear and best != none), lags, relative)
+
+
+def error_of(run: Signals, interval: float) -> float:
+    """The error at lag 0, on stretches that were left out, relative to that without inputs."""
+    errors, without = _errors([run], np.array([0]), max(AHEAD, round(AHEAD_S / interval)))
+    return float(errors.sum() / max(without.sum(), 1e-300))

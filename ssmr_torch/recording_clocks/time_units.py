@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0}
-SYNONYMS = {"μs": "µs", "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "milliseconds": "ms", "usec": "us",
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0}
+SYNONYMS = {"µs": "us", "μs": "us", "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "milliseconds": "ms", "usec": "us",
             "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "minutes": "min", "days": "d"}
 EXACT = 2 ** 40         # integers beyond lose digits as float64 seconds, so that the first is subtracted before
 FEW = 10                # whole steps smaller than this may number frames
@@ -27,8 +27,7 @@ def exact_seconds(stamps: np.ndarray, unit: str) -> tuple[np.ndarray, int]:
 
 def likely_units(interval: float, bounds: tuple[float, float]) -> list[str]:
     """Units in which an interval, in the numbers of the file, is plausible, within `bounds`, s."""
-    return [unit for unit, scale in TIME_UNITS.items()
-            if unit != "us" and bounds[0] <= interval * scale <= bounds[1]]
+    return [unit for unit, scale in TIME_UNITS.items() if bounds[0] <= interval * scale <= bounds[1]]
 
 
 def counts_frames(stamps: np.ndarray) -> bool:
