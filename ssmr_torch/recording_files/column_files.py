@@ -7,8 +7,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from ssmr_torch.data.csv_reader import read_csv
 from ssmr_torch.extras import require
+from ssmr_torch.recording_files.csv_reader import read_csv
 
 HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf")
 PARQUET_SUFFIXES = (".parquet", ".pq")
