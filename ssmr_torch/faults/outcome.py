@@ -49,7 +49,8 @@ class Expected:
     log must hold each when the recordings are read, and rows (first, last) to be named within `near`; where nothing is
     expected and `silent` is set, nothing may be said. samples: number by run, its pieces together, each within `near`
     where `near` is positive. error: the largest RMSE of the fit as a multiple of that of the clean recordings.
-    values: (run, column, row, value in SI units, tolerance). timestep: s.
+    values: (run, column, row, value in SI units, tolerance). timestep: s. names: of runs that must be among the
+    others. unchanged: all runs must be as they were written.
     """
 
     case: str
@@ -64,6 +65,7 @@ class Expected:
     values: tuple[tuple[str, int, int, float, float], ...] = ()
     timestep: float | None = None
     names: tuple[str, ...] = ()
+    unchanged: bool = False
 
 
 def refusal_faults(message: str) -> str:
