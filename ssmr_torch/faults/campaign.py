@@ -74,7 +74,7 @@ def campaign(directory: Path, sizes: Mapping[str, int], *, only: tuple[str, ...]
     for row in bad:
         say(f"{row['outcome']}: {row['kind']}, {row['case']}: {row['said'][:300]}")
     if bad:
-        raise FaultsFound(f"{len(bad)} of {len(rows)} faults had a wrong outcome; {directory / 'trials.csv'} has them all")
+        raise FaultsFound(f"{len(bad)} of {len(rows)} faults had a wrong outcome; {directory / 'trials.csv'} has all")
     return table
 
 

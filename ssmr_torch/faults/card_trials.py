@@ -83,13 +83,15 @@ def a_time_of_day(made, rng, folder):
 
 @TRIALS.of("names of runs and files")
 def the_same_name_in_two_folders(made, rng, folder):
-    card(folder, CARD.replace("m.csv", "left/r.csv, right/r.csv") + "split: {test: [right/r]}\n", "left/r.csv", "right/r.csv")
+    card(folder, CARD.replace("m.csv", "left/r.csv, right/r.csv") + "split: {test: [right/r]}\n", "left/r.csv",
+         "right/r.csv")
     return Expected("left/r.csv and right/r.csv", refused=False, names=("left/r", "right/r"))
 
 
 @TRIALS.of("names of runs and files")
 def patterns(made, rng, folder):
-    card(folder, CARD.replace("m.csv", '"d?.csv", "c*.csv"') + "decays: [d1, d2]\n", "d1.csv", "d2.csv", "c1.csv", "c10.csv")
+    card(folder, CARD.replace("m.csv", '"d?.csv", "c*.csv"') + "decays: [d1, d2]\n", "d1.csv", "d2.csv", "c1.csv",
+         "c10.csv")
     return Expected("files by patterns d?.csv and c*.csv", refused=False, names=("d1", "d2", "c1", "c10"))
 
 
@@ -106,7 +108,8 @@ def a_pattern_and_a_file_of_it(made, rng, folder):
 
 @TRIALS.of("names of runs and files")
 def a_misspelled_run(made, rng, folder):
-    return refused(folder, CARD.replace("m.csv", "m.csv, n.csv") + "split: {test: [nn]}\n", "test: [nn]", "nn", r"\bn\b")
+    return refused(folder, CARD.replace("m.csv", "m.csv, n.csv") + "split: {test: [nn]}\n", "test: [nn]", "nn",
+                   r"\bn\b")
 
 
 @TRIALS.of("names of runs and files")
@@ -117,7 +120,8 @@ def pieces_between_seams(made, rng, folder):
 
 @TRIALS.of("names of runs and files")
 def a_piece_that_does_not_exist(made, rng, folder):
-    return refused(folder, CARD + "seams: {m: [10]}\nminimum_length: 2\nsplit: {test: [m/2]}\n", "m/2 of two pieces", "m/2", "m/1")
+    return refused(folder, CARD + "seams: {m: [10]}\nminimum_length: 2\nsplit: {test: [m/2]}\n", "m/2 of two pieces",
+                   "m/2", "m/1")
 
 
 @TRIALS.of("names of runs and files")
@@ -130,7 +134,8 @@ def a_seam_outside(made, rng, folder):
 @TRIALS.of("hostile cards")
 def code(made, rng, folder):
     mark = folder / "ran.txt"
-    expected = refused(folder, CARD + f"symmetry: !!python/object/apply:os.system ['echo > {mark}']\n", "a tag that runs code")
+    expected = refused(folder, CARD + f"symmetry: !!python/object/apply:os.system ['echo > {mark}']\n",
+                       "a tag that runs code")
     return expected
 
 
@@ -153,7 +158,8 @@ def a_list_that_holds_itself(made, rng, folder):
 @TRIALS.of("hostile cards")
 def wrong_types(made, rng, folder):
     content = yaml.safe_load(CARD)
-    key = str(rng.choice(["files", "columns", "units", "rest", "minimum_length", "irregularity", "range", "sampling_time"]))
+    key = str(rng.choice(["files", "columns", "units", "rest", "minimum_length", "irregularity", "range",
+                          "sampling_time"]))
     value = [{"a": 1}, [[1]], "text", float("nan"), -1, 1e300, True, [], 10**30][int(rng.integers(9))]
     content[key] = value
     card(folder, yaml.safe_dump(content, sort_keys=False))
@@ -162,7 +168,8 @@ def wrong_types(made, rng, folder):
 
 @TRIALS.of("hostile cards")
 def a_huge_number(made, rng, folder):
-    return refused(folder, CARD + "minimum_length: " + "9" * 5000 + "\n", "minimum_length of 5,000 digits", "minimum_length|digits")
+    return refused(folder, CARD + "minimum_length: " + "9" * 5000 + "\n", "minimum_length of 5,000 digits",
+                   "minimum_length|digits")
 
 
 @TRIALS.of("hostile cards")
@@ -172,12 +179,14 @@ def a_file_outside(made, rng, folder):
 
 @TRIALS.of("hostile cards")
 def a_folder_and_a_device(made, rng, folder):
-    return refused(folder, CARD.replace("m.csv", str(rng.choice(["/dev/zero", "."]))), "a device or a folder as a recording")
+    return refused(folder, CARD.replace("m.csv", str(rng.choice(["/dev/zero", "."]))),
+                   "a device or a folder as a recording")
 
 
 @TRIALS.of("hostile cards")
 def tabs_for_blanks(made, rng, folder):
-    return refused(folder, CARD.replace("units: {length: mm", "units:\n\tlength: mm\n#"), "a tab in front of a key", "line")
+    return refused(folder, CARD.replace("units: {length: mm", "units:\n\tlength: mm\n#"), "a tab in front of a key",
+                   "line")
 
 
 @TRIALS.of("hostile cards")

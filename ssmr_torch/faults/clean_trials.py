@@ -92,7 +92,8 @@ def slow_sampling(made, rng, folder):
 
 @TRIALS.of(KIND)
 def steps(made, rng, folder):
-    driven(made, lambda count, inputs: np.repeat(rng.choice([-2.0, 0.0, 2.0], (count // 150 + 1, inputs)), 150, 0)[:count],
+    driven(made, lambda count,
+           inputs: np.repeat(rng.choice([-2.0, 0.0, 2.0], (count // 150 + 1, inputs)), 150, 0)[:count],
            rng)
     return clean("steps of 1.5 s between −2, 0 and 2")
 
@@ -187,13 +188,15 @@ def short_runs(made, rng, folder):
 
 @TRIALS.of(KIND)
 def a_large_slow_motion(made, rng, folder):
-    driven(made, lambda count, inputs: 8 * np.sin(2 * np.pi * np.arange(count)[:, None] / 1500 + np.arange(inputs)), rng)
+    driven(made, lambda count, inputs: 8 * np.sin(2 * np.pi * np.arange(count)[:, None] / 1500 + np.arange(inputs)),
+           rng)
     return clean("one slow turn of the whole workspace in 15 s")
 
 
 @TRIALS.of(KIND)
 def inputs_on_two_levels(made, rng, folder):
-    driven(made, lambda count, inputs: np.repeat(rng.choice([0.0, 1.0], (count // HELD + 1, inputs)), HELD, 0)[:count], rng)
+    driven(made, lambda count, inputs: np.repeat(rng.choice([0.0, 1.0], (count // HELD + 1, inputs)), HELD, 0)[:count],
+           rng)
     return clean("valves: inputs 0 or 1")
 
 

@@ -47,7 +47,8 @@ def every_other_frame(made, rng, folder):
 def the_counter_wraps(made, rng, folder):
     for run in made.runs.values():
         run.time = (65000 + np.arange(len(run))) % 65536
-    return Expected("a frame counter of 16 bits that begins again at 0", refused=True, remedy=("frame|begins again|wrap",))
+    return Expected("a frame counter of 16 bits that begins again at 0", refused=True,
+                    remedy=("frame|begins again|wrap",))
 
 
 # Lag -------------------------------------------------------------------------------------------------------------
@@ -110,7 +111,8 @@ def some_at_times(made, rng, folder):
     for run in made.runs.values():
         late = np.flatnonzero(rng.uniform(size=len(run)) < 0.05)
         run.time = run.time + np.isin(np.arange(len(run)), late) * 0.008
-    return Expected("one stamp in twenty 8 ms late", remedy=("stamp|clock|interval",), error=1.6, said=(), timestep=0.01)
+    return Expected("one stamp in twenty 8 ms late", remedy=("stamp|clock|interval",), error=1.6, said=(),
+                    timestep=0.01)
 
 
 @TRIALS.of("jitter")
@@ -152,14 +154,16 @@ def one_coordinate_empty(made, rng, folder):
     run, row, rows = place(made, rng, 2)
     made.runs[run].y[rows, int(rng.integers(3))] = np.nan
     made.card["missing"] = "split"
-    return Expected(f"one coordinate empty in rows {row} and {row + 1} of {run}, missing: split", error=1.1, said=(run,))
+    return Expected(f"one coordinate empty in rows {row} and {row + 1} of {run}, missing: split", error=1.1,
+                    said=(run,))
 
 
 @TRIALS.of("missing rows")
 def without_a_word_in_the_card(made, rng, folder):
     run, row, rows = place(made, rng, 30)
     made.runs[run].y[rows] = np.nan
-    return Expected(f"rows {row} to {row + 29} of {run} empty, nothing said in the card", remedy=(run, str(row), "missing"),
+    return Expected(f"rows {row} to {row + 29} of {run} empty, nothing said in the card",
+                    remedy=(run, str(row), "missing"),
                     said=(run,), rows=(row,), near=1, error=1.1)
 
 
@@ -228,7 +232,8 @@ def whole_seconds(made, rng, folder):
 
 @TRIALS.of("units of clocks")
 def minutes(made, rng, folder):
-    small(folder, [f"{k / 6000:.10f}" for k in range(20)], card={"units": {"length": "mm", "input": "1", "time": "min"}})
+    small(folder, [f"{k / 6000:.10f}" for k in range(20)],
+          card={"units": {"length": "mm", "input": "1", "time": "min"}})
     return Expected("minutes, said to be min", refused=False, samples={"m": 20}, values=LAST, timestep=0.01)
 
 
@@ -276,7 +281,8 @@ def a_clock_that_restarts(made, rng, folder):
 @TRIALS.of("order of rows")
 def newest_first(made, rng, folder):
     small(folder, STEADY, rows=list(range(19, -1, -1)))
-    return Expected("all rows backwards", remedy=("goes back|backwards|newest",), said=("m",), samples={"m": 20}, values=LAST)
+    return Expected("all rows backwards", remedy=("goes back|backwards|newest",), said=("m",), samples={"m": 20},
+                    values=LAST)
 
 
 # Dates -----------------------------------------------------------------------------------------------------------

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import pickle
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO
 
 import h5py
 import numpy as np
@@ -21,13 +23,24 @@ HDF5, MATLAB, NUMPY, OTHER = "HDF5", "MATLAB", "NumPy and Parquet", "files of an
 MARK = "ran.txt"
 
 
-def _hdf5(fill, name: str = "m.h5"):
+def _placed(fill: Callable[[BinaryIO, Path], None], name: str) -> Callable[[Path], Path]:
+    """A function of a folder that writes this file there, aside and then renamed."""
     def write(folder: Path) -> Path:
-        with h5py.File(folder / name, "w") as file:
+        aside = folder / f"{name}.part"
+        with aside.open("wb+") as file:
             fill(file, folder)
+        os.replace(aside, folder / name)
         return folder / name
 
     return write
+
+
+def _hdf5(fill, name: str = "m.h5"):
+    def filled(stream: BinaryIO, folder: Path) -> None:
+        with h5py.File(stream, "w") as file:
+            fill(file, folder)
+
+    return _placed(filled, name)
 
 
 def _plain(file, folder, **more) -> None:
@@ -90,11 +103,7 @@ def _bomb(file, folder) -> None:
 
 
 def _mat(content, name: str = "m.mat"):
-    def write(folder: Path) -> Path:
-        scipy.io.savemat(folder / name, content)
-        return folder / name
-
-    return write
+    return _placed(lambda stream, folder: scipy.io.savemat(stream, content), name)
 
 
 def _struct(field: str = "y") -> dict:
@@ -115,11 +124,7 @@ def _cells() -> np.ndarray:
 
 
 def _numpy(**arrays):
-    def write(folder: Path) -> Path:
-        np.savez(folder / "m.npz", **arrays)
-        return folder / "m.npz"
-
-    return write
+    return _placed(lambda stream, folder: np.savez(stream, **arrays), "m.npz")
 
 
 class _Code:
@@ -132,45 +137,39 @@ class _Code:
         return os.system, (f"echo ran > '{self.folder / MARK}'",)
 
 
-def _object_array(folder: Path) -> Path:
-    np.savez(folder / "m.npz", t=T, y=np.array([_Code(folder)], dtype=object))
-    return folder / "m.npz"
+def _object_array(stream: BinaryIO, folder: Path) -> None:
+    np.savez(stream, t=T, y=np.array([_Code(folder)], dtype=object))
 
 
 def _pickle(name: str):
-    def write(folder: Path) -> Path:
-        (folder / name).write_bytes(pickle.dumps(_Code(folder)))
-        return folder / name
-
-    return write
+    return _placed(lambda stream, folder: stream.write(pickle.dumps(_Code(folder))), name)
 
 
 def _bytes(name: str, content: bytes):
-    def write(folder: Path) -> Path:
-        (folder / name).write_bytes(content)
-        return folder / name
-
-    return write
+    return _placed(lambda stream, folder: stream.write(content), name)
 
 
 def _spreadsheet(name: str):
-    def write(folder: Path) -> Path:
-        with zipfile.ZipFile(folder / name, "w") as file:
+    def fill(stream: BinaryIO, folder: Path) -> None:
+        with zipfile.ZipFile(stream, "w") as file:
             file.writestr("[Content_Types].xml", "<Types/>")
             file.writestr("xl/workbook.xml", "<workbook/>")
-        return folder / name
 
-    return write
+    return _placed(fill, name)
 
 
 def _parquet(**columns):
-    def write(folder: Path) -> Path:
+    def fill(stream: BinaryIO, folder: Path) -> None:
         import pandas
 
-        pandas.DataFrame(columns).to_parquet(folder / "m.parquet")
-        return folder / "m.parquet"
+        pandas.DataFrame(columns).to_parquet(stream)
 
-    return write
+    return _placed(fill, "m.parquet")
+
+
+def _cut(stream: BinaryIO, folder: Path) -> None:
+    scipy.io.savemat(stream, _struct())
+    stream.truncate(stream.tell() - 200)
 
 
 def harmless(folder: Path) -> bool:
@@ -182,7 +181,8 @@ TRIALS = [
     FileTrial(HDF5, "texts and attributes beside the arrays", _hdf5(_with_text), X, runs=1),
     FileTrial(HDF5, "a compound table with a column of text", _hdf5(_compound), ((".*x", Y[:, 0]),), runs=1),
     FileTrial(HDF5, "integers with scale_factor and add_offset", _hdf5(_scaled), X),
-    FileTrial(HDF5, "a fill value in row 4", _hdf5(_with_filler), (("p_0", np.where(np.arange(20) == 4, np.nan, Y[:, 0])),)),
+    FileTrial(HDF5, "a fill value in row 4", _hdf5(_with_filler),
+              (("p_0", np.where(np.arange(20) == 4, np.nan, Y[:, 0])),)),
     FileTrial(HDF5, "time along the second axis", _hdf5(_across), X, refused=("length|shape|rows",)),
     FileTrial(HDF5, "three runs in groups of groups", _hdf5(_deep), X, runs=3),
     FileTrial(HDF5, "named .csv", _hdf5(_plain, "m.csv"), X),
@@ -196,9 +196,9 @@ TRIALS = [
     FileTrial(MATLAB, "time along the second axis", _mat({"t": T[None], "y": Y.T, "u": U.T}), X),
     FileTrial(MATLAB, "text and a scalar beside", _mat({**_struct(), "note": "rig 3", "Ts": 0.01}), X, runs=1),
     FileTrial(MATLAB, "version 7.3, named .mat", _hdf5(lambda file, folder: _plain(file, folder, y=Y), "m.mat"), X),
-    FileTrial(MATLAB, "cut", lambda folder: _cut(_mat(_struct())(folder)), refused=("m.mat",), only=True),
+    FileTrial(MATLAB, "cut", _placed(_cut, "m.mat"), refused=("m.mat",), only=True),
     FileTrial(NUMPY, "t, y, u", _numpy(t=T, y=Y, u=U), X, runs=1),
-    FileTrial(NUMPY, "an array of Python objects", _object_array, refused=("object|pickle",), only=True,
+    FileTrial(NUMPY, "an array of Python objects", _placed(_object_array, "m.npz"), refused=("object|pickle",), only=True,
               harmless=harmless),
     FileTrial(NUMPY, "a pickle named .npy", _pickle("m.npy"), refused=("m.npy",), only=True, harmless=harmless),
     FileTrial(NUMPY, "a pickle named .csv", _pickle("m.csv"), refused=("m.csv",), only=True, harmless=harmless),
@@ -215,7 +215,3 @@ TRIALS = [
               refused=("m.csv",), only=True),
 ]
 
-
-def _cut(path: Path) -> Path:
-    path.write_bytes(path.read_bytes()[:-200])
-    return path

@@ -60,21 +60,24 @@ def utf_32_with_a_mark(made, rng, folder):
 
 @TRIALS.of("dialects of text")
 def utf_16_of_the_other_end(made, rng, folder):
-    return written(folder, "\ufeff".encode("utf-16-be") + joined(lines()).encode("utf-16-be"), "UTF-16, big-endian, with a mark")
+    return written(folder, "\ufeff".encode("utf-16-be") + joined(lines()).encode("utf-16-be"),
+                   "UTF-16, big-endian, with a mark")
 
 
 @TRIALS.of("dialects of text")
 def comments_of_other_languages(made, rng, folder):
     sign = str(rng.choice(["//", "%", "#", ";;"]))
     rows = lines()
-    return written(folder, joined([f"{sign} rig: 3, gain 1,5", f"{sign}", *rows[:9], f"{sign} marker lost, found", *rows[9:]]),
+    return written(folder,
+                   joined([f"{sign} rig: 3, gain 1,5", f"{sign}", *rows[:9], f"{sign} marker lost, found", *rows[9:]]),
                    f"lines of comments with {sign}, one of them among the rows")
 
 
 @TRIALS.of("dialects of text")
 def units_in_the_names(made, rng, folder):
     rows = lines()
-    return written(folder, joined(["t [s],x [mm],y [mm],z [mm],u1 [1],u2 [1]", *rows[1:]]), "units in brackets in the names",
+    return written(folder, joined(["t [s],x [mm],y [mm],z [mm],u1 [1],u2 [1]", *rows[1:]]),
+                   "units in brackets in the names",
                    refused=None, remedy=(r"x \[mm\]|'x'",), samples={"m": 20}, values=LAST)
 
 
@@ -122,7 +125,8 @@ def a_thousands_separator(made, rng, folder):
 
 @TRIALS.of("dialects of text")
 def a_summary_below(made, rng, folder):
-    return written(folder, joined([*lines(), "", "Total rows:,20", "Exported by rig 2.1"]), "two lines of a summary below the rows")
+    return written(folder, joined([*lines(), "", "Total rows:,20", "Exported by rig 2.1"]),
+                   "two lines of a summary below the rows")
 
 
 @TRIALS.of("dialects of text")
@@ -155,14 +159,13 @@ def zero_bytes_of_a_torn_log(made, rng, folder):
 def inside_a_number(made, rng, folder):
     text = joined(lines())
     cut = text.rindex(",120,") + 4  # ",12"
-    return written(folder, text[:cut], "the last row ends inside z: 12 for 120", samples={"m": 19}, values=(), said=("m",),
+    return written(folder, text[:cut], "the last row ends inside z: 12 for 120", samples={"m": 19}, values=(),
+                   said=("m",),
                    rows=(19,), near=1)
 
 
 @TRIALS.of("files that were cut")
 def inside_the_last_number(made, rng, folder):
-    for name in ("d1", "c1"):
-        made.card["columns"]["observation"] = ["x", "y", "z"]
     made.write(folder)
     path = folder / "d1.csv"
     order = [row.split(",") for row in path.read_text(encoding="utf-8").splitlines()]

@@ -1,4 +1,4 @@
-"""Very many control steps, one in twenty with a fault: no exception, every input within bounds, memory that stays flat."""
+"""Very many control steps, one in twenty with a fault: no exception, inputs within bounds, memory that stays flat."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NEAR = 1e-3             # m, of a measurement with noise alone
 
 @dataclass
 class Endured:
-    """steps with faults, exceptions by text, inputs outside of the bounds, growth of memory in MB, longest step in s."""
+    """faults: steps with one. exceptions: by text. outside: inputs out of bounds. grown: MB. longest: step, s of CPU."""
 
     faults: int = 0
     exceptions: Counter = field(default_factory=Counter)

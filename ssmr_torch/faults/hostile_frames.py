@@ -1,4 +1,4 @@
-"""Hostile frames at a controller's end of the wire while an honest robot is in a run: nothing but be dropped and counted."""
+"""Hostile frames at a controller's end of the wire while an honest robot is in a run: they are dropped and counted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ssmr_torch.control.base import Command
 from ssmr_torch.faults.outcome import Found
 from ssmr_torch.faults.reading import log_lines
 from ssmr_torch.wire.controller_end import ControllerEnd
-from ssmr_torch.wire.messages import HEADER, Kind, Message, RobotDescription, unpack
+from ssmr_torch.wire.messages import HEADER, Kind, Message, unpack
 
 KIND = "hostile frames"
 TIMESTEP, BOUND, EVERY = 0.01, 1.0, 50
@@ -59,7 +59,8 @@ HELLOS = (
     lambda rng: description(output_names=[f"y{k}" for k in range(5000)], rest=[0.0] * 5000),
     lambda rng: description(name="x" * 60000), lambda rng: description(rest=[1e308, float("nan")]),
     lambda rng: description(input_bounds=[[1.0] * 2, [-1.0] * 2]), lambda rng: description(input_bounds=None),
-    lambda rng: description(name={"a": [1, 2]}), lambda rng: "null", lambda rng: "1e5", lambda rng: "", lambda rng: "{}",
+    lambda rng: description(name={"a": [1, 2]}), lambda rng: "null", lambda rng: "1e5", lambda rng: "",
+    lambda rng: "{}",
     lambda rng: description(extra=1), lambda rng: description(real_time="no"), lambda rng: "9" * 60000)
 
 
@@ -72,7 +73,8 @@ def frame(rng: np.random.Generator, run: int, sequence: int) -> bytes:
         return hello(HELLOS[int(rng.integers(len(HELLOS)))](rng)[:65536])
     if kind == 2:  # a header with any numbers
         count = int(rng.integers(0, 5))
-        return struct.pack("<4sBBHIIQd", b"SSMR", int(rng.integers(3)), int(rng.integers(9)), int(rng.integers(1 << 16)),
+        return struct.pack("<4sBBHIIQd", b"SSMR", int(rng.integers(3)), int(rng.integers(9)),
+                           int(rng.integers(1 << 16)),
                            int(rng.integers(1 << 32)), count, int(rng.integers(1 << 62)), float(rng.normal())) \
             + rng.bytes(8 * count)
     if kind == 3:  # says that more follows than does
@@ -83,9 +85,11 @@ def frame(rng: np.random.Generator, run: int, sequence: int) -> bytes:
         return Message(Kind(int(rng.integers(1, 7))), int(rng.integers(1 << 32)), int(rng.integers(1 << 40)),
                        text="?").pack()
     if kind == 6:  # an old number of this run
-        return Message(Kind.MEASUREMENT, (run + 1) % 2**32, sequence, TIMESTEP * sequence, values=np.full(2, 1e3)).pack()
+        return Message(Kind.MEASUREMENT, (run + 1) % 2**32, sequence, TIMESTEP * sequence,
+                       values=np.full(2, 1e3)).pack()
     if kind == 7:
-        return Message(Kind.MEASUREMENT, run, max(sequence - 1 - int(rng.integers(100)), 0), 0.0, values=np.ones(2)).pack()
+        return Message(Kind.MEASUREMENT, run, max(sequence - 1 - int(rng.integers(100)), 0), 0.0,
+                       values=np.ones(2)).pack()
     data = bytearray(Message(Kind.MEASUREMENT, run, sequence, TIMESTEP * sequence, values=np.ones(2)).pack())
     if kind == 8:
         return bytes(data[:int(rng.integers(len(data)))])
@@ -106,7 +110,8 @@ def frames(count: int, seed: int = 0) -> list[dict]:
             _answers(end, FOE, frame(rng, run, sequence), now, wrong)
             if k % EVERY == EVERY - 1:
                 value = float(rng.normal())
-                sent = Message(Kind.MEASUREMENT, run, sequence, TIMESTEP * sequence, values=np.array([value, 0.0])).pack()
+                sent = Message(Kind.MEASUREMENT, run, sequence, TIMESTEP * sequence,
+                               values=np.array([value, 0.0])).pack()
                 replies = _answers(end, ROBOT, sent, now, wrong)
                 right = np.clip([value, -value], -BOUND, BOUND)
                 wrong["measurements without the right command"] += not any(

@@ -91,7 +91,8 @@ def one_of_them_ends_elsewhere(made, rng, folder):
     size = float(rng.uniform(8, 20))
     made.runs["d4"].y[:, 0] += size
     made.card["rest"] = "last sample of decays"
-    return Expected(f"x of d4 ends {size:.0f} mm from the others", remedy=("d4",), said=("d4", f"{size:.0f}"), error=3.0)
+    return Expected(f"x of d4 ends {size:.0f} mm from the others", remedy=("d4",), said=("d4", f"{size:.0f}"),
+                    error=3.0)
 
 
 @TRIALS.of("decays without rest")
@@ -121,7 +122,8 @@ def the_first_half_is_driven(made, rng, folder):
 def one_file_in_another_unit(made, rng, folder):
     run, scale = str(rng.choice(made.controlled())), float(rng.choice([0.001, 0.1]))
     made.runs[run].y = made.runs[run].y * scale
-    return Expected(f"{run} in {'m' if scale < 0.01 else 'cm'}, the others in mm", remedy=(run,), said=(run,), error=1.2)
+    return Expected(f"{run} in {'m' if scale < 0.01 else 'cm'}, the others in mm", remedy=(run,), said=(run,),
+                    error=1.2)
 
 
 @TRIALS.of("units")

@@ -26,7 +26,8 @@ def one_coordinate_jumps(made, rng, folder):
     run, row, rows = place(made, rng)
     column, size = int(rng.integers(3)), float(rng.choice([-1, 1]) * rng.uniform(8, 60))
     made.runs[run].y[rows, column] += size
-    return Expected(f"{made.observation[column]} {size:+.0f} mm in row {row} of {run}", said=(run,), rows=(row,), error=1.05)
+    return Expected(f"{made.observation[column]} {size:+.0f} mm in row {row} of {run}", said=(run,), rows=(row,),
+                    error=1.05)
 
 
 @TRIALS.of("outliers")
@@ -48,7 +49,8 @@ def a_sentinel_of_the_tracker(made, rng, folder):
     run, row, rows = place(made, rng, int(rng.integers(1, 8)))
     value = float(rng.choice([-9999.0, 9999.99, -1e6]))
     made.runs[run].y[rows] = value
-    return Expected(f"{value:g} in rows {row} to {rows.stop - 1} of {run}", said=(run,), rows=(row,), near=1, error=1.05)
+    return Expected(f"{value:g} in rows {row} to {rows.stop - 1} of {run}", said=(run,), rows=(row,), near=1,
+                    error=1.05)
 
 
 @TRIALS.of("outliers")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ssmr_torch.faults.made_recordings import small_recordings
-from ssmr_torch.result_files import save_text
+from ssmr_torch.result_files import save_bytes, save_text
 
 RATE = 100.0
 COUNT = 20
@@ -26,8 +26,9 @@ def rows_of(*columns) -> list[list]:
 
 def motive(path: Path, *, version: str = "1.23", units: str = "Millimeters", scale: float = 1.0, body: bool = False,
            hidden: int | None = None, rotation: str = "Quaternion") -> None:
-    """A take with the markers tip and base; body: a rigid body with its rotation before them; hidden: a row in which the
-    tip has blank cells; from version 1.24 on there is a row of parents.
+    """A take with the markers tip and base; from version 1.24 on there is a row of parents.
+
+    body: a rigid body with its rotation before them. hidden: a row in which the tip has blank cells.
     """
     y = positions() * scale
     angles = "XYZW" if rotation == "Quaternion" else "XYZ"
@@ -38,8 +39,8 @@ def motive(path: Path, *, version: str = "1.23", units: str = "Millimeters", sca
         columns += [("Rigid Body", "head", "Mean Marker Error", "", [0.0003] * COUNT)]
     columns += [("Marker", "tip", "Position", axis, list(y[:, k])) for k, axis in enumerate("XYZ")]
     columns += [("Marker", "base", "Position", axis, [float(k)] * COUNT) for k, axis in enumerate("XYZ")]
-    head = [f"Format Version,{version},Take Name,m,Take Notes,,Capture Frame Rate,100.000000,Export Frame Rate,100.000000,"
-            f"Capture Start Time,2024-05-01 10.00.00.000 AM,Capture Start Frame,0,Total Frames in Take,{COUNT},"
+    head = [f"Format Version,{version},Take Name,m,Take Notes,,Capture Frame Rate,100.000000,"
+            f"Export Frame Rate,100.000000,Capture Start Time,2024-05-01 10.00.00.000 AM,Capture Start Frame,0,Total Frames in Take,{COUNT},"
             f"Total Exported Frames,{COUNT},Rotation Type,{rotation},Length Units,{units},Coordinate Space,Global", ""]
     told = [(",Type", 0), (",Name", 1), (",ID", 1), (",", 2)] if float(version) < 1.24 else \
         [(",Type", 0), (",Name", 1), (",ID", 1), (",Parent", 4), (",", 2)]
@@ -54,7 +55,8 @@ def motive(path: Path, *, version: str = "1.23", units: str = "Millimeters", sca
     save_text(path, "\r\n".join([*head, *body_rows]) + "\r\n")
 
 
-def qualisys(path: Path, *, numbered: bool = False, six: bool = False, frequency: str = "100", extra: bool = False) -> None:
+def qualisys(path: Path, *, numbered: bool = False, six: bool = False, frequency: str = "100",
+             extra: bool = False) -> None:
     """A file of positions of tip and base; numbered: with Frame and Time and a row that names the columns; six: rigid
     bodies (6D) instead; extra: with the rows that later versions write.
     """
@@ -66,7 +68,8 @@ def qualisys(path: Path, *, numbered: bool = False, six: bool = False, frequency
     head += ["BODY_NAMES\ttip\tbase" if six else "MARKER_NAMES\ttip\tbase"]
     head += ["TRAJECTORY_TYPES\tMeasured\tMeasured"] if extra else []
     head += ["\t".join(["Frame", "Time", *(f"{m} {a}" for m in ("tip", "base") for a in "XYZ")])] if numbered else []
-    rows = [[*([str(k + 1), f"{k / RATE:.5f}"] if numbered else []), *(f"{v:.3f}" for v in y[k]), "0.000", "1.000", "2.000"]
+    rows = [[*([str(k + 1), f"{k / RATE:.5f}"] if numbered else []), *(f"{v:.3f}" for v in y[k]), "0.000", "1.000",
+             "2.000"]
             for k in range(COUNT)]
     save_text(path, "\r\n".join([*head, *("\t".join(row) for row in rows)]) + "\r\n")
 
@@ -89,8 +92,9 @@ def vicon(path: Path, *, first: int = 1, devices: bool = False, model: bool = Fa
 
 
 def c3d(path: Path, *, analog: int = 0, invalid: int | None = None, units: str = "mm", rate: float = RATE) -> None:
-    """Points tip and base as floats; analog: samples of the channel "force" per frame; invalid: a row in which the tip has
-    the residual −1 and zeros. Written as the manual of the format says: header, parameters, data; little-endian.
+    """Points tip and base as floats, as the manual of the format says: header, parameters, data; little-endian.
+
+    analog: samples of the channel "force" per frame. invalid: a row in which the tip has the residual −1 and zeros.
     """
     groups: list[bytes] = []
 
@@ -125,7 +129,7 @@ def c3d(path: Path, *, analog: int = 0, invalid: int | None = None, units: str =
         frames.append(struct.pack("<4f", 0.0, 1.0, 2.0, 0.0))
         frames.append(struct.pack(f"<{analog}f", *[0.5] * analog))
     data = b"".join(frames)
-    path.write_bytes(header + parameters + data.ljust(-(-len(data) // 512) * 512, b"\0"))
+    save_bytes(path, header + parameters + data.ljust(-(-len(data) // 512) * 512, b"\0"))
 
 
 def _padded(data: bytes, size: int) -> bytes:

@@ -1,7 +1,8 @@
-"""Exports of measurement systems and containers: each is read with its names, rate and unit, or refused with a remedy."""
+"""Exports of measurement systems: each is read with its names, rate and unit, or refused with a remedy."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,8 +12,6 @@ import numpy as np
 from ssmr_torch.faults import tool_files as made
 from ssmr_torch.faults.outcome import REFUSALS, Found, refusal_faults
 from ssmr_torch.recording_files.reading import read_tables
-
-import re
 
 FIRST = 1_700_000_000_000_000_000  # ns
 
@@ -122,28 +121,34 @@ POSE = "geometry_msgs/msg/PoseStamped"
 
 TRIALS = [
     FileTrial(MOTIVE, "version 1.23, two markers", _at("m.csv", made.motive), TIP_EXACT, 0.01, "mm"),
-    FileTrial(MOTIVE, "a rigid body with quaternions before the markers", _at("m.csv", made.motive, body=True), TIP_EXACT,
+    FileTrial(MOTIVE, "a rigid body with quaternions before the markers", _at("m.csv", made.motive, body=True),
+              TIP_EXACT,
               0.01, "mm"),
     FileTrial(MOTIVE, "a rigid body with Euler angles", _at("m.csv", made.motive, body=True, rotation="XYZ"), TIP_EXACT,
               0.01, "mm"),
-    FileTrial(MOTIVE, "version 1.25 with a row of parents", _at("m.csv", made.motive, version="1.25", body=True), TIP_EXACT,
+    FileTrial(MOTIVE, "version 1.25 with a row of parents", _at("m.csv", made.motive, version="1.25", body=True),
+              TIP_EXACT,
               0.01, "mm"),
     FileTrial(MOTIVE, "in metres", _at("m.csv", made.motive, units="Meters", scale=1e-3),
               (("tip_X", Y[:, 0] / 1e3),), 0.01, "m"),
-    FileTrial(MOTIVE, "the tip hidden in row 7", _at("m.csv", made.motive, hidden=7), (("tip_X", hidden(Y[:, 0], 7)),), 0.01),
+    FileTrial(MOTIVE, "the tip hidden in row 7", _at("m.csv", made.motive, hidden=7), (("tip_X", hidden(Y[:, 0], 7)),),
+              0.01),
     FileTrial(QUALISYS, "with rows of later versions", _at("m.tsv", made.qualisys, extra=True), TIP_EXACT, 0.01, "mm"),
     FileTrial(QUALISYS, "with Frame and Time", _at("m.tsv", made.qualisys, numbered=True), TIP_EXACT, 0.01, "mm"),
-    FileTrial(QUALISYS, "with decimal frequency, named .txt", _at("m.txt", made.qualisys, frequency="100.0", extra=True),
+    FileTrial(QUALISYS, "with decimal frequency, named .txt",
+              _at("m.txt", made.qualisys, frequency="100.0", extra=True),
               TIP_EXACT, 0.01, "mm"),
     FileTrial(QUALISYS, "6D, rigid bodies", _at("m.tsv", made.qualisys, six=True), refused=("6D",), only=True),
     FileTrial(VICON, "from frame 501 on", _at("m.csv", made.vicon, first=501), TIP_EXACT, 0.01, "mm"),
     FileTrial(VICON, "a section of devices before", _at("m.csv", made.vicon, devices=True), TIP_EXACT, 0.01, "mm"),
     FileTrial(VICON, "a section of model outputs before", _at("m.csv", made.vicon, model=True), TIP_EXACT, 0.01, "mm"),
-    FileTrial(VICON, "the tip hidden in row 3", _at("m.csv", made.vicon, hidden=3), (("tip_X", hidden(Y[:, 0], 3)),), 0.01),
+    FileTrial(VICON, "the tip hidden in row 3", _at("m.csv", made.vicon, hidden=3), (("tip_X", hidden(Y[:, 0], 3)),),
+              0.01),
     FileTrial("C3D", "two points", _at("m.c3d", made.c3d), TIP, 0.01, "mm", tolerance=1e-4),
     FileTrial("C3D", "an analog channel of ten times the rate", _at("m.c3d", made.c3d, analog=10), TIP, 0.01,
               tolerance=1e-4),
-    FileTrial("C3D", "an invalid point in row 5", _at("m.c3d", made.c3d, invalid=5), ((".*tip.*[xX].*", hidden(Y[:, 0], 5)),),
+    FileTrial("C3D", "an invalid point in row 5", _at("m.c3d", made.c3d, invalid=5),
+              ((".*tip.*[xX].*", hidden(Y[:, 0], 5)),),
               tolerance=1e-4),
     FileTrial("C3D", "in metres", _at("m.c3d", made.c3d, units="m"), TIP, unit="m", tolerance=1e-4),
     FileTrial("rosbag2", "poses, SQLite", _bag(topics={"/tip/pose": (POSE, _poses())}),
@@ -152,9 +157,12 @@ TRIALS = [
         "/tip/pose": (POSE, _poses()), "/cmd": ("std_msgs/msg/Float64MultiArray", _commands())}),
         ((r".*position.*x", Y[:, 0]), (r".*data.*0.*", 0.1 * np.arange(10))), runs=2),
     FileTrial("rosbag2", "joint states without velocities", _bag(topics={"/joints": (
-        "sensor_msgs/msg/JointState", _joints())}), ((r".*(position.*j1|j1.*position|position.*0).*", 0.1 * np.arange(20)),)),
-    FileTrial("rosbag2", "a type that nobody knows", _bag(topics={"/odd": ("my_msgs/msg/Odd", [(FIRST, b"\0\1\0\0abcd")])}),
+        "sensor_msgs/msg/JointState", _joints())}),
+        ((r".*(position.*j1|j1.*position|position.*0).*", 0.1 * np.arange(20)),)),
+    FileTrial("rosbag2", "a type that nobody knows",
+              _bag(topics={"/odd": ("my_msgs/msg/Odd", [(FIRST, b"\0\1\0\0abcd")])}),
               refused=("my_msgs|Odd|type",), only=True),
-    FileTrial("rosbag2", "messages that are cut", _bag(topics={"/tip/pose": (POSE, [(s, d[:30]) for s, d in _poses()])}),
+    FileTrial("rosbag2", "messages that are cut",
+              _bag(topics={"/tip/pose": (POSE, [(s, d[:30]) for s, d in _poses()])}),
               refused=("tip|pose|message",), only=True),
 ]
