@@ -20,7 +20,7 @@ from ssmr_torch.renamed import SINCE, refuse_old_names
 
 OF_THE_PAPER = ("delay-study", "reproduce") if find_spec("ssmr_torch.paper") else ()  # paper/ can be deleted
 COMMANDS = ("collect", "read", "check", "train", "compare", "export", "evaluate", "design", "control", "commission",
-            "serve-controller", "serve-plant", "report", *OF_THE_PAPER, "benchmark", "docs-numbers")
+            "serve-controller", "serve-plant", "report", *OF_THE_PAPER, "benchmark", "faults", "docs-numbers")
 SEARCH = "search="
 OF_FILES = {"read": "files"}  # commands whose arguments without key are files, and the key that they mean
 COMPLETION = ("-sc", "--shell-completion")  # as Hydra has it
