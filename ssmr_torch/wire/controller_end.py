@@ -6,20 +6,20 @@ import logging
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from secrets import randbits
-from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
 
+from ssmr_torch.wire.answers import ONE_BY_ONE, Answers, Sample, code_of
 from ssmr_torch.wire.limits import legible
 from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotDescription, read_description, unpack
 from ssmr_torch.wire.notices import Notices
-from ssmr_torch.wire.stream import MeasurementStream, Place
+from ssmr_torch.wire.stream import Place
+
+__all__ = ["ControllerEnd", "Reply", "Sample", "code_of"]
 
 log = logging.getLogger(__name__)
 
-# So many samples that are missing at once are given to the controller one by one; more would take too long.
-ONE_BY_ONE = 5
 # So many measurements that wait to be read are all used; of more, only the newest.
 WAITING = 2
 # s: a robot that was told to start, and does not, gives way to another one.
@@ -27,15 +27,6 @@ GIVES_WAY = 5.0
 # s without a measurement after which the same robot may go on over a new connection in lock-step.
 RECONNECTS = 0.5
 LONGEST_REASON = 1000  # characters of a REFUSE
-
-
-class Sample(NamedTuple):
-    """One sample: time s, observation (p,) m (NaN where nothing came), the controller's Command, solve time s."""
-
-    time: float
-    observation: np.ndarray
-    command: object
-    solve_time: float
 
 
 class Reply(NamedTuple):
@@ -71,17 +62,25 @@ class ControllerEnd:
         self.timeout, self.patience = float(timeout), float(patience)
         self.counts: Counter[str] = Counter()
         self.finished = 0
-        self.description: RobotDescription | None = None
-        self.samples: list[Sample] = []
-        self.controller = None
+        self._answers: Answers | None = None
         self._peer: bytes | None = None
         self._run, self._request, self._suspended = randbits(32), 0, False
-        self._answer: Message | None = None
         self._last_end: Message | None = None
         self._requests: deque[int] = deque(maxlen=1000)  # of runs that have begun
-        self._stream: MeasurementStream | None = None
         self._heard = self._due = self._offered = 0.0
         self._notices, self._runs = Notices(log), Notices(log, first=100)
+
+    @property
+    def description(self) -> RobotDescription | None:
+        return None if self._answers is None else self._answers.robot
+
+    @property
+    def controller(self):
+        return None if self._answers is None else self._answers.controller
+
+    @property
+    def samples(self) -> list[Sample]:
+        return [] if self._answers is None else self._answers.samples
 
     @property
     def running(self) -> bool:
@@ -129,11 +128,9 @@ class ControllerEnd:
                 self.counts["lost_robots"] += 1
                 return replies + self._lose(f"no measurement for {limit:g} s")
             overdue = int((now - self._due) / self.description.timestep)
-            if overdue > ONE_BY_ONE:  # this end was held up as well
-                self._stream.skip(overdue)
-                self._due += overdue * self.description.timestep
-            self._due += self.description.timestep
-            replies += self._decide(self._stream.skip(), np.full(self._stream.outputs, np.nan), missed=True)
+            overdue = overdue if overdue > ONE_BY_ONE else 0
+            self._due += (1 + overdue) * self.description.timestep
+            replies += self._told(self._answers.blind(overdue))
         return replies
 
     def end(self, why: str, finished: bool = False) -> list[Reply]:
@@ -154,6 +151,10 @@ class ControllerEnd:
             getattr(self.controller, "prepare", lambda: None)()
 
     @property
+    def _stream(self):
+        return self._answers.stream
+
+    @property
     def _paced(self) -> bool:
         return self.description.real_time and self._stream.begun
 
@@ -163,7 +164,7 @@ class ControllerEnd:
 
     def _first_used(self, messages: list[tuple[bytes, Message]]) -> int:
         """The number of the first waiting measurement that is used."""
-        if self._stream is None or not self.description.real_time:
+        if self._answers is None or not self.description.real_time:
             return 0
         numbers = {message.sequence for peer, message in messages
                    if message.kind is Kind.MEASUREMENT and message.run == self._run and peer == self._peer}
@@ -192,7 +193,7 @@ class ControllerEnd:
 
     def _stop(self, finished: bool) -> None:
         self.controller.reset()
-        self._peer, self._answer, self._suspended = None, None, False
+        self._peer, self._answers.newest, self._suspended = None, None, False
         self.finished += finished and bool(self.samples)
 
     def _lose(self, why: str) -> list[Reply]:
@@ -201,7 +202,7 @@ class ControllerEnd:
             return self.end(why)
         self._runs.say("over", f"the run is suspended: {why}", level=logging.INFO)
         self.controller.reset()
-        self._answer, self._suspended = None, True
+        self._answers.newest, self._suspended = None, True
         return [Reply(self._peer, Message(Kind.END, self._run, self._stream.number + 1, status=Code.SUSPENDED,
                                           text=f"{why}; the run goes on with the next one"))]
 
@@ -236,15 +237,13 @@ class ControllerEnd:
         return [self._start()]
 
     def _begin(self, peer: bytes, request: int, robot: RobotDescription, controller, now: float) -> None:
-        self.description, self.controller, self.samples = robot, controller, []
-        span = self.timeout if robot.real_time else self.patience
-        self._stream = MeasurementStream(len(robot.output_names), robot.timestep, max(1, round(span / robot.timestep)),
-                                         self.counts)
-        self._peer, self._request, self._suspended = peer, request, False
-        self._heard = self._offered = now
         before = self._run
         while self._run in (before, 0):
             self._run = randbits(32)  # not to be guessed
+        silence = self.timeout if robot.real_time else self.patience
+        self._answers = Answers(self._run, robot, controller, silence, self.duration, self.counts)
+        self._peer, self._request, self._suspended = peer, request, False
+        self._heard = self._offered = now
         self._runs.say("begins", f"a run with {robot.name} begins", level=logging.INFO)
 
     def _start(self) -> Reply:
@@ -276,21 +275,16 @@ class ControllerEnd:
             self.counts["lost_robots"] += 1
             return self.end(f"measurement {message.sequence} arrived after {self._stream.number}: too many between "
                             "them are missing")
-        if place is Place.AGAIN:
-            return [] if self._answer is None else [Reply(peer, self._answer)]
-        return self._next(message, now) if place is Place.NEXT else []
-
-    def _next(self, message: Message, now: float) -> list[Reply]:
-        """The answer to a measurement; those before it that did not come are missing."""
+        if place is Place.AGAIN and self._answers.newest is not None:
+            return [Reply(peer, self._answers.newest)]
+        if place is not Place.NEXT:
+            return []
         if not self._stream.begun and self._request:
             self._requests.append(self._request)
-        ahead = message.sequence + self._stream.shift - self._stream.next
-        if ahead > ONE_BY_ONE:
-            self._stream.skip(ahead)
-        for _ in range(ahead if ahead <= ONE_BY_ONE else 0):
-            self._ask(self._stream.skip(), np.full(self._stream.outputs, np.nan))
-        time, observation = self._stream.take(message, now)
-        return self._decide(time, observation, missed=not np.isfinite(observation).all())
+        return self._told(self._answers.to(message, now))
+
+    def _told(self, command: Message | None) -> list[Reply]:
+        return self.end("the task is done", finished=True) if command is None else [Reply(self._peer, command)]
 
     def _no_such_run(self, message: Message) -> Message:
         if self._last_end is not None and message.run == self._last_end.run:
@@ -299,30 +293,7 @@ class ControllerEnd:
         self.counts["foreign"] += 1
         return Message(Kind.END, message.run, status=Code.OTHER, text="there is no such run; say HELLO for a new one")
 
-    def _ask(self, time: float, observation: np.ndarray) -> Sample:
-        start = perf_counter()
-        command = self.controller(time, observation)
-        sample = Sample(time, observation, command, perf_counter() - start)
-        self.samples.append(sample)
-        return sample
-
-    def _decide(self, time: float, observation: np.ndarray, missed: bool) -> list[Reply]:
-        sample, place = self._ask(time, observation), self._stream.next - 1
-        if self.duration is not None and place >= np.ceil(self.duration / self.description.timestep - 1e-9):
-            return self.end("the task is done", finished=True)
-        status = Code.MISSED if missed else code_of(sample.command)
-        self._answer = Message(Kind.COMMAND, self._run, self._stream.number, sample.solve_time, status,
-                               sample.command.input)
-        return [Reply(self._peer, self._answer)]
-
     def _malformed(self, what, counted: bool = False) -> list[Reply]:
         self.counts["malformed"] += not counted
         self._notices.say("malformed", f"a malformed message was dropped: {what}")
         return []
-
-
-def code_of(command) -> Code:
-    """The status for a COMMAND message with this Command."""
-    if command.fallback is not None:
-        return Code.__members__.get(command.fallback.name, Code.OTHER)
-    return Code.HELD if command.held else Code.OK

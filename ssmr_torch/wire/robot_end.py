@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter, deque
 from collections.abc import Callable
+from math import ceil
 from secrets import randbits
 from time import monotonic
 
@@ -53,8 +54,8 @@ class RobotEnd:
         self.description = RobotDescription.of(plant, real_time)
         size = len(self.description.text.encode())
         if size > LARGEST_BODY:
-            raise ValueError(f"the robot's description has {size} bytes; expected {LARGEST_BODY} at most: observe fewer "
-                             "outputs")
+            raise ValueError(f"the robot's description has {size} bytes; expected {LARGEST_BODY} at most: observe "
+                             "fewer outputs")
         self.timeout, self.patience, self.answer_within = float(timeout), float(patience), float(answer_within)
         self.safe_input = _safe_input(safe_input, self.description)
         self.counts: Counter[str] = Counter()
@@ -65,7 +66,8 @@ class RobotEnd:
         self._seed: int | None = None
         self._request, self._started = 0, deque(maxlen=1000)  # the number of a HELLO; runs that have been started
         self._sequence = self._answered = -1
-        self._input, self._alone, self._begun, self._heard, self._sent = self.safe_input, True, clock(), clock(), clock()
+        self._input, self._alone = self.safe_input, True
+        self._begun = self._heard = self._sent = clock()
         self._notices = Notices(log)
 
     def drive(self, runs: int | None = 1, wait: float | None = None) -> None:
@@ -122,22 +124,27 @@ class RobotEnd:
         while True:
             if self._ask(observation, tick) is None:
                 self._unanswered()
-            observation = self.plant.step(self._input)
-            tick = self._pace(tick + self.description.timestep)
+            observation, observed = self.plant.step(self._input), self.clock()
+            tick = self._pace()
+            if self.real_time and self.clock() - observed >= 2 * self.description.timestep:
+                # After a pause in between, this observation is as old as the pause.
+                self._be_safe_if_silent()
+                observation = self.plant.step(self._input)
 
     def _unanswered(self) -> None:
         """Hold the last input until the timeout, then the safe one; give up when the patience ends."""
-        silent = self.clock() - self._heard
         if not self.real_time:
             self.counts["missed"] += 1
             self._leave_alone("the controller is silent; the safe input is applied")
             raise _Over(finished=False)
-        if self._alone:
-            if silent > self.patience:
-                raise _Over(finished=False)
-            return
-        self.counts["missed"] += 1
-        if silent > self.timeout:
+        self.counts["missed"] += not self._alone
+        self._be_safe_if_silent()
+        if self._alone and self.clock() - self._heard > self.patience:
+            raise _Over(finished=False)
+
+    def _be_safe_if_silent(self) -> None:
+        silent = self.clock() - self._heard
+        if silent > self.timeout and not self._alone:
             self._leave_alone(f"no fresh command for {silent:.3g} s; the safe input is applied until one comes")
 
     def _leave_alone(self, why: str) -> None:
@@ -161,26 +168,31 @@ class RobotEnd:
                 return answer
         return None
 
-    def _pace(self, tick: float) -> float:
-        """Wait for the next tick and set the number of the sample that it has. Returns its time."""
-        self._sequence += 1
-        if not self.real_time:
-            return self.clock()
-        late = self.clock() > tick
-        while self.clock() < tick:
-            if self._listen(tick) is not None:
+    def _pace(self) -> float:
+        """Wait for the next sample and set its number. Returns its time."""
+        number = self._sequence + 1
+        if self.real_time:
+            late = self.clock() > self._time_of(number)
+            self._wait_for(number)
+            while self.clock() - self._time_of(number) >= self.description.timestep:
+                # A delay of less than a step is caught up. After a longer one, the numbers that are over are skipped.
+                late = True
+                self._read_all()
+                number = ceil((self.clock() - self._begun) / self.description.timestep)
+                self._wait_for(number)
+            if late:
+                self.counts["overruns"] += 1
+        self._sequence = number
+        return self._time_of(number)
+
+    def _time_of(self, number: int) -> float:
+        return self._begun + number * self.description.timestep
+
+    def _wait_for(self, number: int) -> None:
+        while self.clock() < self._time_of(number):
+            if self._listen(self._time_of(number)) is not None:
                 # Too late for this step, but newer than the input that would be held in the next step.
                 self.counts["late"] += 1
-        paused = self.clock() - tick >= self.description.timestep
-        if late or paused:
-            self.counts["overruns"] += 1
-        if not paused:
-            return tick  # a delay of less than a step is caught up
-        # After a longer one, many steps would follow each other at once. Their numbers are skipped.
-        self._read_all()
-        now = self.clock()
-        self._sequence = max(self._sequence, round((now - self._begun) / self.description.timestep))
-        return now
 
     def _read_all(self) -> None:
         """Read what came during a pause: none of it answers the measurement that is sent next."""

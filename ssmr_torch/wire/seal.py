@@ -28,8 +28,7 @@ class Seal:
 
     def __init__(self, key: bytes, own: str, other: str):
         if not isinstance(key, bytes) or not SHORTEST <= len(key) <= LONGEST:
-            raise ValueError(f"the key of the wire has {len(key)} bytes; expected {SHORTEST} to {LONGEST}, such as those "
-                             "of python -c 'import secrets; print(secrets.token_hex(32))'")
+            raise ValueError(f"the key of the wire has {len(key)} bytes; expected {SHORTEST} to {LONGEST}")
         self._key, self._own, self._other = key, own.encode(), other.encode()
 
     def __repr__(self) -> str:
@@ -66,8 +65,8 @@ def read_key(key_file: str | Path | None = None) -> bytes | None:
         return None
     key = key.strip()
     if not SHORTEST <= len(key) <= LONGEST:
-        raise ValueError(f"the key of the wire in {where} has {len(key)} bytes; expected {SHORTEST} to {LONGEST}: python "
-                         f"-c 'import secrets; print(secrets.token_hex(32))' writes one")
+        raise ValueError(f"the key of the wire in {where} has {len(key)} bytes; expected {SHORTEST} to {LONGEST}: "
+                         "python -c 'import secrets; print(secrets.token_hex(32))' writes one")
     return key
 
 
