@@ -76,8 +76,8 @@ EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "contr
 # Who touches files; all else takes and returns arrays.
 TOUCHES_FILES = [
     "trajectory.py", "benchmarks/*", "deployment/artifact.py", "deployment/checkpoint_copy.py", "closed_loop/record.py",
-    "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py",
-    "commissioning/directory.py",
+    "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py", "wire/seal.py",
+    "command.py", "commissioning/directory.py",
     "controller_design/report.py", "defaults_of_signatures.py", "data/*", "documents/*", "search/*",
     "recording_files/*",
     "deployment/exported_programs.py", "fitting/fit.py", "fitting/checkpoints.py", "evaluation/*figures.py",
