@@ -9,7 +9,7 @@ from omegaconf import OmegaConf
 from ssmr_torch.entry_point import entry_point, origin_of, save_json, save_result
 
 
-@entry_point("serve_controller")
+@entry_point("serve_controller", at_a_robot=True)
 def main(config, directory):
     from ssmr_torch.closed_loop.wire_run import serve_artifact
     from ssmr_torch.deployment import artifact
