@@ -46,7 +46,7 @@ HOMES = {
     "hydra": ["configuration.py", "entry_point.py", "search/*"],
     "omegaconf": ["configuration.py", "entry_point.py", "found_settings.py", "option_tables.py", "search/best_row.py"],
     "optuna": ["search/space.py", "search/trials.py"],
-    "h5py": ["trajectory.py", "closed_loop/record.py", "commissioning/directory.py", "data/*",
+    "h5py": ["hdf5_file.py", "trajectory.py", "closed_loop/record.py", "commissioning/directory.py", "data/*",
              "collection/resumption.py", "paper/report_sections.py", "paper/workspace_errors.py"],
     "yaml": ["data/card_file.py", "documents/stray_numbers.py"],
     "pandas": ["data/column_files.py", "data/csv_reader.py"],
@@ -74,9 +74,9 @@ NEVER = {
 EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "control"]}
 # Who touches files; all else takes and returns arrays.
 TOUCHES_FILES = [
-    "trajectory.py", "benchmarks/*", "deployment/artifact.py", "deployment/checkpoint_copy.py", "closed_loop/record.py",
-    "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py",
-    "commissioning/directory.py",
+    "hdf5_file.py", "trajectory.py", "benchmarks/*", "deployment/artifact.py", "deployment/checkpoint_copy.py",
+    "closed_loop/record.py", "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py",
+    "command.py", "commissioning/directory.py",
     "controller_design/report.py", "defaults_of_signatures.py", "data/*", "documents/*", "search/*",
     "deployment/exported_programs.py", "fitting/fit.py", "fitting/checkpoints.py", "evaluation/*figures.py",
     "report/html_page.py", "report/run_sections.py",

@@ -9,6 +9,9 @@ import numpy as np
 
 from ssmr_torch.data.csv_reader import read_csv
 from ssmr_torch.extras import require
+from ssmr_torch.hdf5_file import open_hdf5
+
+__all__ = ["open_hdf5", "pick", "read_columns"]
 
 HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf")
 PARQUET_SUFFIXES = (".parquet", ".pq")
@@ -43,14 +46,6 @@ def pick(columns: dict[str, np.ndarray], names, path: str | Path) -> np.ndarray:
                          "sample")
     length = len(next(iter(columns.values())))
     return np.stack([columns[name] for name in names], axis=1) if names else np.empty((length, 0))
-
-
-def open_hdf5(path: Path) -> h5py.File:
-    """The file, open for reading. Raises ValueError when it is truncated or damaged."""
-    try:
-        return h5py.File(path, "r")
-    except OSError as error:
-        raise ValueError(f"{path.name} cannot be read ({error}); copy or record it again") from error
 
 
 def _read_hdf5(path: Path) -> dict[str, np.ndarray]:
