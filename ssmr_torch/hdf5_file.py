@@ -5,9 +5,13 @@ A link in an HDF5 file may lead to another file, and a dataset of a kilobyte on 
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import h5py
+import numpy as np
+
+from ssmr_torch.checksum import Damaged
 
 # A dataset that zlib compressed as far as it can takes a thousandth; recordings stay far below this.
 COMPRESSION = 200
@@ -18,9 +22,10 @@ DEEPEST = 32  # groups within groups
 def open_hdf5(path: str | Path) -> h5py.File:
     """The file, open for reading, after every link and dataset in it was checked.
 
-    Raises FileNotFoundError, and ValueError, with the name of the link or dataset, for a file that is truncated or
-    damaged, for external and user-defined links, external storage and virtual datasets, for a group that contains
-    itself, and for a dataset of more than `COMPRESSION` times the file's size (`FREE` bytes are always allowed).
+    Raises FileNotFoundError, `checksum.Damaged`, which is a ValueError, for a file that is truncated or damaged, and
+    ValueError, with the name of the link or dataset, for external and user-defined links, external storage and virtual
+    datasets, for a group that contains itself, and for a dataset of more than `COMPRESSION` times the file's size
+    (`FREE` bytes are always allowed).
     """
     path = Path(path)
     if not path.is_file():
@@ -28,16 +33,51 @@ def open_hdf5(path: str | Path) -> h5py.File:
     try:
         file = h5py.File(path, "r")
     except OSError as error:
-        raise ValueError(f"{path.name} cannot be read ({error}); copy or record it again") from error
+        raise Damaged(f"{path.name} cannot be read ({error}); copy or record it again") from error
     try:
         _check(file, path)
     except (RuntimeError, OSError, KeyError, TypeError, OverflowError) as error:
         file.close()
-        raise ValueError(f"{path.name} is damaged ({error}); copy or record it again") from error
+        raise Damaged(f"{path.name} is damaged ({error}); copy or record it again") from error
     except BaseException:
         file.close()
         raise
     return file
+
+
+def card_of(file: h5py.File, path: str | Path) -> dict:
+    """The attribute "card" of a file of this package. Raises `checksum.Damaged` where it is no JSON object."""
+    try:
+        card = json.loads(file.attrs["card"])
+    except (KeyError, TypeError, ValueError, OSError, RuntimeError) as error:  # RuntimeError: also one that is too deep
+        raise Damaged(f"{path} is damaged: its card cannot be read ({error}); copy or write it again") from error
+    if not isinstance(card, dict):
+        raise Damaged(f"{path} is damaged: its card is {str(card)[:40]!r}; copy or write it again")
+    return card
+
+
+def text(group: h5py.Group, name: str) -> str:
+    """An attribute that is text. Raises ValueError for another one, KeyError where it is missing."""
+    value = group.attrs[name]
+    if not isinstance(value, str):
+        raise ValueError(f"the attribute {name} of {group.name} is {value!r:.40}; expected text")
+    return value
+
+
+def numbers(group: h5py.Group, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+    """A dataset of finite numbers, float64, of this shape; None: any length.
+
+    Raises ValueError, with the name, for another shape or type and for numbers that are not finite.
+    """
+    given = group[name]
+    fits = isinstance(given, h5py.Dataset) and given.dtype.kind in "fiub" and given.ndim == len(shape)
+    if not (fits and all(asked in (None, found) for asked, found in zip(shape, given.shape))):
+        raise ValueError(f"{name} has the shape {getattr(given, 'shape', None)} and the type "
+                         f"{getattr(given, 'dtype', type(given).__name__)}; expected numbers of the shape {shape}")
+    values = np.asarray(given[()], dtype=np.float64)
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name} holds {int((~np.isfinite(values)).sum())} numbers that are not finite")
+    return values
 
 
 def _check(file: h5py.File, path: Path) -> None:

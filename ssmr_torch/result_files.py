@@ -6,8 +6,12 @@ import csv
 import io
 import json
 import os
-from collections.abc import Mapping, Sequence
+import secrets
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+
+from ssmr_torch import checksum
 
 
 def save_text(path: Path, text: str) -> Path:
@@ -17,12 +21,30 @@ def save_text(path: Path, text: str) -> Path:
 
 def save_bytes(path: Path, content: bytes) -> Path:
     """Write a file; missing folders are made."""
+    with written_aside(path) as aside:
+        aside.write_bytes(content)
+    return Path(path)
+
+
+@contextmanager
+def written_aside(path: str | Path, sealed: bool = False) -> Iterator[Path]:
+    """A new path beside `path`. What was written there replaces `path` at the end; after an error it is removed.
+
+    sealed: a checksum is appended first, see `checksum`. No other process and no neighbour has the name of the new
+    path, so that of two that write the same file one wins whole.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(path.name + ".part")
-    aside.write_bytes(content)
-    os.replace(aside, path)
-    return path
+    aside = path.with_name(f".{path.name[:100]}.{secrets.token_hex(6)}.part")
+    try:
+        yield aside
+        if sealed:
+            end = checksum.ending(aside)
+            with open(aside, "ab") as file:
+                file.write(end)
+        os.replace(aside, path)
+    finally:
+        aside.unlink(missing_ok=True)
 
 
 def save_json(path: Path, content: Mapping) -> Path:
