@@ -17,6 +17,7 @@ MARK = b"\nssmr_torch sha256 "
 LENGTH = len(MARK) + 64 + 1
 KEY = "checksum"
 LARGEST_JSON = 64 * 2 ** 20  # bytes
+DEEPEST_JSON = 64
 _UNKNOWN = "0" * 64
 
 log = logging.getLogger(__name__)
@@ -53,16 +54,16 @@ def check(path: str | Path) -> str | None:
     return given
 
 
-def refuse_unsealed(path: str | Path, sealed: bool, format: object, before: object) -> None:
-    """What to do with a file that says which format it has: the format `before` has no checksum, each later one has.
+def refuse_unsealed(path: str | Path, sealed: bool, format: object, *before: str) -> None:
+    """What to do with a file that says which format it has: the formats `before` have no checksum, each later one has.
 
     Raises `Damaged` where the checksum is missing; logs one line for a file that needs none and has none.
     """
-    if not sealed and format != before:
+    if not sealed and format not in before:
         raise Damaged(f"{path} is damaged: its format {format!r} has a checksum, which is missing; copy or write it "
-                         "again")
+                      "again")
     if not sealed:
-        log.warning("%s carries no checksum (%s); damage to it may go unseen until it is written again", path, before)
+        log.warning("%s carries no checksum (%s); damage to it may go unseen until it is written again", path, format)
 
 
 def sealed_json(content: dict, indent: int | None = 2) -> str:
@@ -88,10 +89,22 @@ def parsed(path: str | Path) -> object:
         content = json.loads(raw, parse_constant=_refuse_constant, parse_float=_finite)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path} is not valid JSON ({error or 'too deep'}); write it again") from error
+    if not _shallow(content):
+        raise ValueError(f"{path} holds more than {DEEPEST_JSON} values within one another; write it again")
     given = content.get(KEY) if isinstance(content, dict) else None
     if given is not None and not (isinstance(given, str) and _agrees(raw, given)):
         raise Damaged(f"{path} is damaged or was edited: its text differs from its checksum; write it again")
     return content
+
+
+def _shallow(content: object) -> bool:
+    level = [content]
+    for _ in range(DEEPEST_JSON):
+        level = [part for each in level if isinstance(each, (dict, list))
+                 for part in (each.values() if isinstance(each, dict) else each)]
+        if not level:
+            return True
+    return False
 
 
 def _agrees(raw: bytes, given: str) -> bool:

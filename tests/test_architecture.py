@@ -39,7 +39,7 @@ HOMES = {
     "jax": ["plants/isupport.py", "plants/planar_hsa.py", "plants/soromox_robot.py"],
     "proxsuite": ["control/solvers/proxqp.py"], "daqp": ["control/solvers/daqp.py"],
     "qpsolvers": ["control/qpsolvers_adapter.py"],
-    "safetensors": ["deployment/artifact.py"],
+    "safetensors": ["deployment/tables.py"],
     "onnx": ["deployment/onnx_program.py"], "onnxruntime": ["deployment/onnx_program.py"],
     "casadi": ["deployment/casadi_program.py", "benchmarks/other_solvers.py"],
     "acados_template": ["benchmarks/other_solvers.py"], "ruptures": ["benchmarks/libraries.py"],
@@ -75,8 +75,9 @@ EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "contr
 # Who touches files; all else takes and returns arrays.
 TOUCHES_FILES = [
     "checksum.py", "hdf5_file.py", "trajectory_file.py", "benchmarks/*", "deployment/artifact.py",
-    "deployment/checkpoint_copy.py", "closed_loop/record.py", "provenance.py", "result_files.py", "paper/models.py",
-    "collection/*", "wire/runner.py", "command.py", "commissioning/directory.py",
+    "deployment/checkpoint_copy.py", "deployment/tables.py", "deployment/whole_directory.py", "closed_loop/record.py",
+    "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py",
+    "commissioning/directory.py",
     "controller_design/report.py", "defaults_of_signatures.py", "data/*", "documents/*", "search/*",
     "deployment/exported_programs.py", "fitting/fit.py", "fitting/checkpoints.py", "evaluation/*figures.py",
     "report/html_page.py", "report/run_sections.py",

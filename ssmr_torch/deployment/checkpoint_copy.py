@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from pathlib import Path
 
-from ssmr_torch.deployment.artifact import load_tables, save_tables
+from ssmr_torch.deployment.tables import load_tables, save_tables
 from ssmr_torch.models.base import Model
 
 
 def save_twin(checkpoint: str | Path, model: Model, card: dict) -> Path:
     """Write the model and its card beside the checkpoint, with the checkpoint's hash; read it with `load_twin`."""
     path = _twin(checkpoint)
-    aside = path.with_name(f"{path.name}.{os.getpid()}.part")
-    save_tables(aside, model, card=card, checkpoint=_sha256(checkpoint))
-    os.replace(aside, path)
+    save_tables(path, model, card=card, checkpoint=_sha256(checkpoint))
     return path
 
 

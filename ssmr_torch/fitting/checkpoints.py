@@ -9,9 +9,9 @@ import torch
 
 from ssmr_torch.deployment.checkpoint_copy import save_twin
 from ssmr_torch.fitting.lightning_fit import description
-from ssmr_torch.lazy import found
 from ssmr_torch.models.base import Model
 from ssmr_torch.models.torch_model import TorchModel
+from ssmr_torch.named_classes import class_named
 
 DECISIVE = ("data", "outputs", "model", "module", "seed")
 
@@ -43,9 +43,7 @@ def load_model(checkpoint: str | Path) -> tuple[TorchModel, dict]:
                          "ssmr train") from error
     try:
         module, _, name = stored["model"]["class"].rpartition(".")
-        kind = found(f"{module}:{name}")
-        if not (isinstance(kind, type) and issubclass(kind, TorchModel)):
-            raise ValueError(f"its class is {stored['model']['class']!r}, which is not a model class")
+        kind = class_named(f"{module}:{name}", TorchModel)
         model = kind(**stored["model"]["arguments"])
         model.load_state_dict({key.removeprefix("model."): value for key, value in stored["state_dict"].items()
                                if key.startswith("model.")})
