@@ -19,9 +19,9 @@ def save_text(path: Path, text: str) -> Path:
     return save_bytes(path, text.encode())
 
 
-def save_bytes(path: Path, content: bytes) -> Path:
-    """Write a file; missing folders are made."""
-    with written_aside(path) as aside:
+def save_bytes(path: Path, content: bytes, sealed: bool = False) -> Path:
+    """Write a file; missing folders are made. sealed: as in `written_aside`."""
+    with written_aside(path, sealed) as aside:
         aside.write_bytes(content)
     return Path(path)
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ssmr_torch.data.column_files import pick, read_columns
-from ssmr_torch.data.recording import Recording, assemble, fingerprint, refuse_wrong_clock
+from ssmr_torch.data.assembly import assemble, fingerprint, refuse_wrong_clock
 from ssmr_torch.data.recording_card import RecordingCard, read_recording_card
 from ssmr_torch.data.sampling import SamplingRule
 from ssmr_torch.data.units import Plausible
+from ssmr_torch.recording_clocks.seconds import clock_of
+from ssmr_torch.recording_faults.mending import mended
+from ssmr_torch.recording_faults.recording import Recording
+from ssmr_torch.recording_files.reading import read_tables
+from ssmr_torch.recording_files.table import Table
 from ssmr_torch.trajectory import TrajectoryDataset
 
 
@@ -25,13 +30,14 @@ def custom(card: str | Path) -> TrajectoryDataset:
     path = Path(card)
     described = read_recording_card(path)
     files = [path.parent / name for name in described.files]
-    tables = _tables(files, described)
-    _refuse_unknown_runs(described, [name for name, _ in tables])
-    recordings = [_recording(name, table, described) for name, table in tables]
+    runs = _runs(files, described)
+    _refuse_unknown_runs(described, list(runs))
+    recordings = [_recording(name, table, described) for name, table in runs.items()]
     plausible = Plausible(tuple(described.range), tuple(described.interval_range), described.largest_input)
     # Before the rest position: resting samples are found by how long they last.
     refuse_wrong_clock(recordings, described.units, plausible)
     rest, assumed = _rest(recordings, described)
+    recordings = mended(recordings, rest)
     rule = SamplingRule(described.sampling, described.timestep, described.irregularity, described.missing,
                         described.minimum_length)
     provenance = {"reader": "custom", "sources": fingerprint(path, *files), "assumptions": [
@@ -44,42 +50,43 @@ def custom(card: str | Path) -> TrajectoryDataset:
                     provenance, plausible)
 
 
-def _tables(files: list[Path], card: RecordingCard) -> list[tuple[str, np.ndarray]]:
-    """Name and columns [time, observations, inputs] of each run, in the units of the file."""
-    clock = [] if card.columns.time is None else [card.columns.time]
-    wanted = [*clock, *card.columns.observation, *card.columns.input]
+def _runs(files: list[Path], card: RecordingCard) -> dict[str, Table]:
+    """The table of each run by its name."""
     if len({path.stem for path in files}) < len(files):
         raise ValueError(f"two files share a name, {[path.name for path in files]}; runs are named after "
                          "their files")
-    tables = []
+    runs: dict[str, Table] = {}
     for path in files:
-        columns = read_columns(path)
-        values = pick(columns, wanted, path)
-        if card.columns.time is None:
-            values = np.column_stack([card.sampling_time * np.arange(len(values)), values])
-        if card.columns.run is None:
-            tables.append((path.stem, values))
-            continue
-        run = pick(columns, [card.columns.run], path)[:, 0]
-        if len(run) != len(values) or not np.isfinite(run).all():
-            raise ValueError(f"{path.name}: the run column {card.columns.run!r} has "
-                             f"{int(np.isfinite(run).sum())} numbers for {len(values)} rows; expected one "
-                             "per row")
-        tables += [(f"{path.stem}:{value:g}", values[run == value]) for value in dict.fromkeys(run.tolist())]
-    return tables
+        for table in read_tables(path):
+            for part in _parts(table, card.columns.run, path):
+                runs[f"{path.stem}:{part.run}" if part.run else path.stem] = part
+    return runs
 
 
-def _recording(name: str, values: np.ndarray, card: RecordingCard) -> Recording:
-    outputs = len(card.columns.observation)
-    if isinstance(card.seams, dict):
-        rows = card.seams.get(name, [])
-        if not isinstance(rows, list) or not all(isinstance(row, int) for row in rows):
-            raise ValueError(f"seams of {name!r} is {rows!r}; expected a list of rows")
+def _parts(table: Table, column: str | None, path: Path) -> list[Table]:
+    """The table, or its rows for each value of the column that numbers the runs."""
+    if column is None:
+        return [table]
+    run = table.numbers([column], path.name)[:, 0]
+    if not np.isfinite(run).all():
+        raise ValueError(f"{path.name}: the run column {column!r} has {int(np.isfinite(run).sum())} numbers for "
+                         f"{len(run)} rows; expected one per row")
+    return [replace(table, run=f"{value:g}", columns={name: each[run == value] for name, each in table.columns.items()})
+            for value in dict.fromkeys(run.tolist())]
+
+
+def _recording(name: str, table: Table, card: RecordingCard) -> Recording:
+    file = name.partition(":")[0]
+    clock = clock_of(table, name, file, card.columns.time, card.units.scale("time"),
+                     None if card.sampling_time is None else card.sampling_time * card.units.scale("time"))
+    observation, inputs = (table.numbers(names, file)[clock.rows] for names in
+                           (card.columns.observation, card.columns.input))
     return Recording(
-        name, values[:, 0] * card.units.scale("time"), values[:, 1:1 + outputs] * card.units.scale("length"),
-        values[:, 1 + outputs:] * card.units.scale("input"), "decay" if name in card.decays else "controlled",
+        name, clock.time, observation * card.units.scale("length"), inputs * card.units.scale("input"),
+        "decay" if name in card.decays else "controlled",
         next((split for split, runs in card.split.items() if name in runs), "train"), name in card.centred,
-        "auto" if card.seams == "auto" else tuple(rows))
+        "auto" if card.seams == "auto" else tuple(card.seams.get(name, [])), rows=clock.rows,
+        notes=(*table.notes, *clock.notes))
 
 
 def _rest(recordings: list[Recording], card: RecordingCard) -> tuple[np.ndarray, str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ssmr_torch.data.recording import fingerprint
+from ssmr_torch.data.assembly import fingerprint
 from ssmr_torch.trajectory import TrajectoryDataset
 
 

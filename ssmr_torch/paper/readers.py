@@ -12,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ssmr_torch.data.column_files import pick, read_columns
+from ssmr_torch.data.assembly import assemble, fingerprint, rest_at_end
 from ssmr_torch.data.matlab_reader import read_koopman_struct, read_ssmlearn_cells, read_vector
-from ssmr_torch.data.recording import Recording, assemble, fingerprint, rest_at_end
 from ssmr_torch.data.run_boundaries import check_seams, find_seams
 from ssmr_torch.data.sampling import IRREGULAR, SamplingRule
 from ssmr_torch.data.units import Units
+from ssmr_torch.recording_faults.recording import Recording
+from ssmr_torch.recording_files.column_files import pick, read_columns
 from ssmr_torch.trajectory import TrajectoryDataset
 
 __all__ = ["real_diamond", "authors_simulated_diamond", "real_trunk", "authors_simulated_trunk"]
@@ -213,7 +214,7 @@ def _koopman(path: Path, length: float, force: float, names: Sequence[str]) -> R
 
 def _part(run: Recording, start: int, stop: int | None, split: str, name: str) -> Recording:
     rows = slice(start, stop)
-    return replace(run, name=f"{run.name}_{name}", time=run.time[rows], observation=run.observation[rows],
+    return replace(run, name=f"{run.name}_{name}", rows=None, time=run.time[rows], observation=run.observation[rows],
                    input=run.input[rows], split=split, seams=())
 
 

@@ -4,9 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ssmr_torch.data.column_files import pick, read_columns
 from ssmr_torch.data.matlab_reader import read_koopman_struct
 from ssmr_torch.data.run_boundaries import check_seams, count_blips, count_frozen, find_seams, find_time_gaps
+from ssmr_torch.recording_files.column_files import pick, read_columns
 
 DATA = Path(os.environ.get("SSMR_TORCH_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA}")

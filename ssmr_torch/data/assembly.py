@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,44 +11,13 @@ import numpy as np
 from ssmr_torch.data.run_boundaries import count_blips, count_frozen, find_seams, find_time_gaps
 from ssmr_torch.data.sampling import SamplingRule, is_uniform, refuse_irregular, to_grid
 from ssmr_torch.data.units import Plausible, Units
+from ssmr_torch.recording_faults.recording import Recording
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 logger = logging.getLogger(__name__)
 
 FINDINGS = ("seams", "blips", "frozen_samples")
 PLAUSIBLE = Plausible()
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """Samples of one file or part of it in SI units, not yet trusted.
-
-    time: (T,) s. observation: (T, p) m, absolute unless `centred`. input: (T, m), held from sample to sample.
-    seams: rows at which another run begins, or "auto" to look for them.
-    Raises ValueError when the three arrays disagree in length.
-    """
-
-    name: str
-    time: np.ndarray
-    observation: np.ndarray
-    input: np.ndarray
-    kind: str = "controlled"
-    split: str = "train"
-    centred: bool = False
-    seams: tuple[int, ...] | str = "auto"
-
-    def __post_init__(self):
-        lengths = tuple(len(a) for a in (self.time, self.observation, self.input))
-        if len(set(lengths)) > 1:
-            raise ValueError(f"{self.name}: {lengths[0]} times, {lengths[1]} observations and {lengths[2]} "
-                             "inputs; expected equally many")
-        if lengths[0] < 2:
-            raise ValueError(f"{self.name}: {lengths[0]} samples; at least 2 are needed")
-        if isinstance(self.seams, str) and self.seams != "auto":
-            raise ValueError(f"{self.name}: seams is {self.seams!r}; expected rows or 'auto'")
-        outside = [k for k in self.seams if not 0 < k < lengths[0]] if self.seams != "auto" else []
-        if outside:
-            raise ValueError(f"{self.name}: seams {outside} lie outside the {lengths[0]} rows")
 
 
 def assemble(recordings: list[Recording], rest: np.ndarray, output_names, input_names, units: Units,
@@ -80,8 +48,12 @@ def assemble(recordings: list[Recording], rest: np.ndarray, output_names, input_
         "rest_m": [float(x) for x in rest], "peaks": peaks,
         "sampling": _intervals(usable) | {"rule": rule.sampling, "timestep_s": float(timestep),
                                           "resampled_runs": resampled},
+        "notes": [note.as_dict() for recording in recordings for note in recording.notes],
         **{key: {name: found[key] for name, found in findings.items() if found[key]} for key in FINDINGS},
         "shorter_than_minimum": dropped, "minimum_length": rule.minimum_length}
+    for recording in recordings:
+        for note in recording.notes:
+            logger.warning("%s", note)
     _log(provenance, units)
     return TrajectoryDataset(trajectories, rest, output_names, input_names, units.input_inside, provenance)
 
@@ -174,7 +146,7 @@ def _common_timestep(times: list[np.ndarray]) -> float:
 
 def _findings(recording: Recording, good: np.ndarray) -> dict:
     observation = recording.observation[good]
-    rows = np.flatnonzero(good)
+    rows = recording.rows[good]
     if recording.seams == "auto":
         seams = [int(rows[k]) for k in find_seams(observation)]
     else:
@@ -187,7 +159,7 @@ def _findings(recording: Recording, good: np.ndarray) -> dict:
 def _runs(recording: Recording, good: np.ndarray, seams: list[int]) -> list[np.ndarray]:
     rows = np.flatnonzero(good)
     holes = rows[1:][np.diff(rows) > 1]
-    cuts = np.searchsorted(rows, sorted({*seams, *holes.tolist()}))
+    cuts = np.searchsorted(recording.rows[rows], sorted({*seams, *recording.rows[holes].tolist()}))
     return [part for part in np.split(rows, cuts) if len(part)]
 
 

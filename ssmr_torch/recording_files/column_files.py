@@ -7,9 +7,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from ssmr_torch.data.csv_reader import read_csv
 from ssmr_torch.extras import require
 from ssmr_torch.hdf5_file import open_hdf5
+from ssmr_torch.recording_files.csv_reader import read_csv
 
 __all__ = ["open_hdf5", "pick", "read_columns"]
 
