@@ -11,11 +11,14 @@ import hashlib
 import json
 import logging
 import math
+from difflib import SequenceMatcher
 from pathlib import Path
 
 MARK = b"\nssmr_torch sha256 "
 LENGTH = len(MARK) + 64 + 1
 KEY = "checksum"
+ANNOUNCED = "# The last line is a checksum, so that edits and damage are told from what was written.\n"
+COMMENT = "# sha256 of all lines above: "
 LARGEST_JSON = 64 * 2 ** 20  # bytes
 DEEPEST_JSON = 64
 _UNKNOWN = "0" * 64
@@ -75,6 +78,21 @@ def sealed_json(content: dict, indent: int | None = 2) -> str:
     return before + found + after
 
 
+def commented(text: str) -> str:
+    """The text between two comments, of which the last is its checksum, for a file that a person may edit; see `edited`.
+    """
+    text = ANNOUNCED + text
+    return f"{text}{COMMENT}{hashlib.sha256(text.encode()).hexdigest()}\n"
+
+
+def edited(text: str) -> bool:
+    """Whether a text of `commented` is another one now."""
+    before, mark, given = text.rpartition(COMMENT)
+    if not mark:
+        return text.startswith(ANNOUNCED[:20])
+    return hashlib.sha256(before.encode()).hexdigest() + "\n" != given
+
+
 def parsed(path: str | Path) -> object:
     """What a JSON file holds; an entry "checksum" at its top was checked.
 
@@ -92,6 +110,8 @@ def parsed(path: str | Path) -> object:
     if not _shallow(content):
         raise ValueError(f"{path} holds more than {DEEPEST_JSON} values within one another; write it again")
     given = content.get(KEY) if isinstance(content, dict) else None
+    if given is None and isinstance(content, dict) and _almost(content):
+        raise Damaged(f"{path} is damaged: its last entry is almost a checksum; write it again")
     if given is not None and not (isinstance(given, str) and _agrees(raw, given)):
         raise Damaged(f"{path} is damaged or was edited: its text differs from its checksum; write it again")
     return content
@@ -105,6 +125,13 @@ def _shallow(content: object) -> bool:
         if not level:
             return True
     return False
+
+
+def _almost(content: dict) -> bool:
+    """Whether the last entry is a checksum whose name was damaged."""
+    last = next(reversed(content), "")
+    return isinstance(content.get(last), str) and len(content[last]) == 64 and \
+        SequenceMatcher(None, last, KEY).ratio() > 0.7
 
 
 def _agrees(raw: bytes, given: str) -> bool:

@@ -46,17 +46,13 @@ def _may_be_imported(module: str, name: str) -> bool:
 
 def _source(module: str) -> str:
     """The source of a module, without importing it or the packages around it. Raises ModuleNotFoundError."""
-    parts, spec = module.split("."), None
+    parts, places, spec = module.split("."), None, None
     for count in range(1, len(parts) + 1):
-        whole, places = ".".join(parts[:count]), None if spec is None else spec.submodule_search_locations
-        if count > 1 and places is None:
-            spec = None
-            break
-        spec = importlib.util.find_spec(whole) if count == 1 else next(
-            (one for finder in sys.meta_path if (one := finder.find_spec(whole, places)) is not None), None)
-        if spec is None:
-            break
-    loader = None if spec is None else spec.loader
-    if loader is None or not hasattr(loader, "get_source"):
-        raise ModuleNotFoundError(f"No module named {module!r}", name=module)
-    return loader.get_source(module) or ""
+        whole = ".".join(parts[:count])
+        finders = [importlib.util.find_spec] if count == 1 else [finder.find_spec for finder in sys.meta_path]
+        found = (find(whole) if count == 1 else find(whole, places) for find in finders)
+        spec = next((each for each in found if each is not None), None)
+        if spec is None or not hasattr(spec.loader, "get_source"):
+            raise ModuleNotFoundError(f"No module named {whole!r}", name=whole)
+        places = spec.submodule_search_locations or []
+    return spec.loader.get_source(module) or ""

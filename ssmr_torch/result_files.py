@@ -10,6 +10,7 @@ import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from ssmr_torch import checksum
 
@@ -47,10 +48,21 @@ def written_aside(path: str | Path, sealed: bool = False) -> Iterator[Path]:
         aside.unlink(missing_ok=True)
 
 
-def save_json(path: Path, content: Mapping) -> Path:
-    """Write plain values; infinite and undefined numbers become null."""
+def save_json(path: Path, content: Mapping, sealed: bool = True) -> Path:
+    """Write plain values; infinite and undefined numbers become null. Read it with `read_json`.
+
+    sealed: the entry "checksum" is added. False: for a file that a person is to edit.
+    """
     finite = json.loads(json.dumps(content), parse_constant=lambda _: None)
-    return save_text(path, json.dumps(finite, indent=2) + "\n")
+    return save_text(path, checksum.sealed_json(finite) if sealed else json.dumps(finite, indent=2) + "\n")
+
+
+def read_json(path: str | Path) -> Any:
+    """What `save_json` wrote, without its checksum. Raises ValueError for a damaged file, see `checksum.parsed`."""
+    content = checksum.parsed(path)
+    if isinstance(content, dict):
+        content.pop(checksum.KEY, None)
+    return content
 
 
 def save_csv(path: Path, rows: Sequence[Mapping]) -> Path:
