@@ -79,8 +79,7 @@ def sealed_json(content: dict, indent: int | None = 2) -> str:
 
 
 def commented(text: str) -> str:
-    """The text between two comments, of which the last is its checksum, for a file that a person may edit; see `edited`.
-    """
+    """The text between two comments, for a file that a person may edit; the last is its checksum, see `edited`."""
     text = ANNOUNCED + text
     return f"{text}{COMMENT}{hashlib.sha256(text.encode()).hexdigest()}\n"
 

@@ -12,8 +12,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
 from ssmr_torch import checksum
 from ssmr_torch.result_files import save_text
@@ -35,7 +33,7 @@ def read(path: Path) -> dict:
     try:
         text = Path(path).read_text(encoding="utf-8")
         table = OmegaConf.to_container(OmegaConf.create(text) if text.strip() else OmegaConf.create())
-    except (ValueError, YAMLError, OmegaConfBaseException, RecursionError, TypeError, AttributeError) as error:
+    except Exception as error:  # OmegaConf and the library below it raise many types of errors
         raise ValueError(f"{path} is no table of found settings ({' '.join(str(error).split())[:200]}); correct or "
                          "write it again") from error
     if checksum.edited(text) or not table:
