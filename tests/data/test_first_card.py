@@ -100,7 +100,7 @@ def test_the_command_prints_what_it_found_and_never_overwrites_a_card(tmp_path, 
     robot(tmp_path)
     monkeypatch.chdir(tmp_path)
     for expected in ("the card loads 4 runs", None):
-        monkeypatch.setattr(sys, "argv", ["ssmr", "read", "*.csv", "card=card.yaml", f"hydra.run.dir={tmp_path / 'out'}"])
+        monkeypatch.setattr(sys, "argv", ["ssmr", "read", "*.csv", "card=card.yaml", f"hydra.run.dir={tmp_path}/out"])
         if expected is None:
             with pytest.raises(SystemExit, match="card.yaml is there already .*; give another place"):
                 command.main()

@@ -50,7 +50,8 @@ decays: [m]
     ("split: {test: [m]}\nsplit: {validation: [n]}\n", "split twice, lines 6 and 7"),
     ("split: {test: [m], test: [n]}\n", "test twice, both in line 6"),
     ("split:\n  test: [m]\n  validation: [n]\n  test: [n]\n", "test twice, lines 7 and 9"),
-    ("seams: {m: [10], m: []}\n", "m twice, both in line 6"), ("seams:\n  m: [10]\n  m: []\n", "m twice, lines 7 and 8"),
+    ("seams: {m: [10], m: []}\n", "m twice, both in line 6"),
+    ("seams:\n  m: [10]\n  m: []\n", "m twice, lines 7 and 8"),
     ("split: {test: [n], validation: [n]}\n", "split names the run 'n' twice, in split.test and split.validation"),
     ("centred: [n, n]\n", "centred names the run 'n' twice")])
 def test_a_key_or_a_run_that_stands_twice_is_refused_with_its_place(more, message, tmp_path):
@@ -160,7 +161,7 @@ def test_a_decay_whose_file_has_no_inputs_has_zero_inputs_which_is_said(tmp_path
 # What files say of themselves
 
 @pytest.mark.parametrize(("header", "card", "message"), [
-    ("t,x,y,z,u1,u2\ns,cm,cm,cm,N,N", {}, "m.csv: the file says cm, the card mm, of the column 'x'; write cm as units.l"),
+    ("t,x,y,z,u1,u2\ns,cm,cm,cm,N,N", {}, "m.csv: the file says cm, the card mm, of the column 'x'; write cm as units"),
     ("t [ms],x,y,z,u1,u2", {}, "the file says ms, the card s, of the column 't'; write ms as units.time"),
     ("t,x,y,z,u1 [mN],u2 [mN]", {"units": {"length": "mm", "input": "N"}}, "the file says mN, the card N"),
     ("t,x [in],y [in],z [in],u1,u2", {}, "the file says in, the card mm, .*; convert the column to m, cm or mm"),
