@@ -82,7 +82,9 @@ def _with_names_of_comments(lines: list[str], rows: list[str], delimiter: str, d
 def _header(rows: list[str], delimiter: str, decimal: str, file: str) -> tuple[int, list[str], list[str], int]:
     """Lines above the names, the names, the cells of the row of units (none: []), and the first row of samples."""
     cells = [split_row(row, delimiter) for row in rows[:SAMPLE]]
-    counted = [any(is_number(cell, decimal) for cell in row) for row in cells]
+    # The unit "1" is a number, but a row of units holds others as well.
+    counted = [any(is_number(cell, decimal) for cell in row)
+               and (not says_units(row) or all(is_number(cell, decimal) for cell in row)) for row in cells]
     width = _width([row for row, has in zip(cells, counted) if has])
     first = next((k for k in range(len(cells)) if counted[k] and all(counted[k:k + 3]) and len(cells[k]) == width),
                  next((k for k in range(1, len(cells)) if counted[k]), min(len(cells), 1)))
@@ -147,7 +149,7 @@ def _delimiter(rows: list[str]) -> str:
             continue
         same = [cell for row in cut if len(row) == width for cell in row]
         known = sum(number(cell) is not None or number(cell, ",") is not None for cell in same)
-        score = (len(same) / width / len(cut), known / len(same))
+        score = (len(same) / width / len(sample), known / len(same))
         if score > best:
             best, found = score, delimiter
     header = rows[0] if rows else ""

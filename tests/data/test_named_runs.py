@@ -145,7 +145,7 @@ def test_a_piece_between_seams_has_a_split_and_a_kind_of_its_own(changes, expect
 
 def test_a_piece_that_does_not_exist_is_refused_with_those_that_do(tmp_path):
     write(tmp_path / "m.csv")
-    with pytest.raises(ValueError, match=r"\['m/2'\] do not exist: m has 2 pieces, from m/0, between its seams \[10\]"):
+    with pytest.raises(ValueError, match=r"\['m/2'\] do not exist: m has 2 pieces, m/0 to m/1, cut at the rows \[10\]"):
         read(tmp_path, seams={"m": [10]}, minimum_length=2, split={"test": ["m/2"]})
 
 
