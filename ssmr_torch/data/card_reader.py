@@ -19,7 +19,9 @@ from ssmr_torch.data.run_names import in_pieces, kind_and_split, with_full_names
 from ssmr_torch.data.sampling import SamplingRule
 from ssmr_torch.data.units import Plausible
 from ssmr_torch.recording_clocks.seconds import clock_of
-from ssmr_torch.recording_faults.mending import mended
+from ssmr_torch.recording_faults.copies import without_copies
+from ssmr_torch.recording_faults.mending import compared, mended
+from ssmr_torch.recording_faults.moving_decays import moving_decays
 from ssmr_torch.recording_faults.recording import Recording
 from ssmr_torch.recording_files.reading import read_tables
 from ssmr_torch.recording_files.table import Table
@@ -46,9 +48,13 @@ def custom(card: str | Path) -> TrajectoryDataset:
     plausible = Plausible(tuple(described.range), tuple(described.interval_range), described.largest_input)
     # Before the rest position: resting samples are found by how long they last.
     refuse_wrong_clock(recordings, described.units, plausible)
+    rules = described.rules
+    recordings = mended(moving_decays(recordings, described.columns.input, rules.moving_decays), rules,
+                        described.missing)
     rest, assumed = _rest(recordings, described)
-    recordings = mended(recordings, rest)
-    rule = SamplingRule(described.sampling, described.timestep, described.irregularity, described.missing,
+    recordings = compared(recordings, rest, rules, described.units.scale("length"), described.units.length,
+                          described.rest == "last sample of decays")
+    rule = SamplingRule(described.sampling, described.timestep, described.irregularity, "refuse",
                         described.minimum_length)
     provenance = {"reader": "custom", "sources": digests(path, [*files, *command_files(described, path.parent, files)]), "assumptions": [
         f"Lengths in {described.units.length}, inputs in {described.units.input}, time in "
@@ -60,7 +66,7 @@ def custom(card: str | Path) -> TrajectoryDataset:
     dataset = assemble(recordings, rest, described.columns.observation, described.columns.input, described.units, rule,
                        provenance, plausible)
     # Of two clocks the offset is said where they are joined.
-    return with_lag(dataset, described.input_lag, told=not commands)
+    return with_lag(without_copies(dataset, rules.copies), described.input_lag, told=not commands)
 
 
 def _runs(files: list[Path], card: RecordingCard, folder: Path) -> dict[str, tuple[Table, str]]:
@@ -122,7 +128,8 @@ def _recording(name: str, table: Table, file: str, card: RecordingCard, commands
     return Recording(
         name, clock.time, observation * card.units.scale("length"), inputs * card.units.scale("input"),
         seams="auto" if card.seams == "auto" else tuple(card.seams.get(name, [])), rows=np.sort(clock.rows),
-        notes=tuple(replace(note, run=name) for note in (*table.notes, *clock.notes)), **kind_and_split(name, card))
+        notes=tuple(replace(note, run=name) for note in (*table.notes, *clock.notes)),
+        output_names=tuple(card.columns.observation), **kind_and_split(name, card))
 
 
 def _has_no_inputs(name: str, table: Table, card: RecordingCard) -> bool:

@@ -21,6 +21,7 @@ from ssmr_torch.data.sampling import IRREGULAR
 from ssmr_torch.data.units import Plausible, Units
 from ssmr_torch.recording_clocks.clock_rules import SAME_STAMP, STAMPS, ClockRules
 from ssmr_torch.recording_clocks.time_units import TIME_UNITS
+from ssmr_torch.recording_faults.rules import CHOICES, MISSING, FaultRules
 from ssmr_torch.symmetry_turns import stated
 from ssmr_torch.trajectory import SPLITS
 
@@ -138,6 +139,8 @@ class RecordingCard(Card):
     seams: "auto", or rows by run. decays: names of the runs that are decays. split: {test: [...], validation:
     [...]}.
     sampling_time: in units.time, for files without a column of time. rate: frames in 1 s. timestep: grid, s.
+    missing: what to do with empty cells, `recording_faults.missing_rows`. faults: what to do about each other kind of
+    fault, `recording_faults.rules.FaultRules`.
     pairs: files with the outputs and with the inputs of a run. clock_offset, clock_drift: s and ppm, of the inputs'
     clock, or "auto". stamps, same_stamp: see `ssmr_torch.recording_clocks.clock_rules`. input_lag: "keep", "remove",
     or s by which all inputs stand late.
@@ -166,13 +169,32 @@ class RecordingCard(Card):
     timestep: FiniteFloat | None = Field(None, description="a number of s")
     sampling: str = Field("resample", description="resample or refuse")
     irregularity: FiniteFloat = Field(IRREGULAR, description="a number")
-    missing: str = Field("refuse", description="refuse or split")
+    missing: str = Field("bridge", description="bridge, split or refuse")
+    faults: dict[str, str] = Field({}, description="keys and values, as {outliers: cut}")
     minimum_length: int = Field(10, description="a whole number")
     range: Span = Field(list(Plausible.displacement), description="two numbers in m, [smallest, largest]")
     interval_range: Span = Field(list(Plausible.interval), description="two numbers in s, [smallest, largest]")
     largest_input: FiniteFloat | None = Field(None, gt=0, description="a positive number in N or 1")
     symmetry: dict = Field({}, description="keys and values, as {angle: 90, axis: [0, 0, 1], inputs: [b, a]}")
 
+    @property
+    def rules(self) -> FaultRules:
+        """What is done about each kind of fault."""
+        return FaultRules.of(self.faults)
+
+    @field_validator("missing")
+    @classmethod
+    def _known_missing(cls, missing):
+        if missing not in MISSING:
+            raise not_as_described()
+        return missing
+
+    @field_validator("faults")
+    @classmethod
+    def _known_faults(cls, faults):
+        refuse_unknown("faults", faults, CHOICES)
+        FaultRules.of(faults)
+        return faults
     @model_validator(mode="before")
     @classmethod
     def _pairs_are_files(cls, content):

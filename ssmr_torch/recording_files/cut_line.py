@@ -9,7 +9,8 @@ from ssmr_torch.recording_files.cells import is_number, number
 
 NEIGHBOURS = 300     # rows before the last that tell what is usual
 FEWEST = 4           # rows that there must be to tell
-FAR = 5              # largest steps of the column, beyond which a value is not its own
+NEAR = 30            # rows before the last that tell how far a value steps
+FAR = 5              # of the largest of these steps, beyond which a value is not its own
 HELD = 3             # rows with one value, after which an unseen prefix of it is a cut
 
 
@@ -35,7 +36,9 @@ def is_cut(rows: Sequence[Sequence[str]], last: Sequence[str], decimal: str = ".
         return False
     cell = last[column].strip()
     if not is_number(cell, decimal):
-        return number(cell, decimal) is None or (cell == "" and len(numeric) == len(cells))
+        return number(cell, decimal) is None or cell not in cells
+    if cell[-1] in ".," and not any(other[-1] in ".," for other in numeric):
+        return True
     return _is_shorter(cell, numeric) or _is_astray(cell, numeric, decimal) or _is_beginning(cell, numeric)
 
 
@@ -52,7 +55,7 @@ def _is_shorter(cell: str, cells: Sequence[str]) -> bool:
 
 
 def _is_astray(cell: str, cells: Sequence[str], decimal: str) -> bool:
-    values = [number(other, decimal) for other in cells]
+    values = [number(other, decimal) for other in cells[-NEAR:]]
     largest = max(abs(after - before) for before, after in zip(values, values[1:]))
     return len(cell) < len(cells[-1]) and abs(number(cell, decimal) - values[-1]) > FAR * largest > 0
 

@@ -77,7 +77,7 @@ def _rows(table: Lines, file: str) -> tuple[list[str], list[Note]]:
         places = [k for k, row in enumerate(rows) if row.strip() in repeated]
         before = sorted({place - n for n, place in enumerate(places)})
         notes.append(Note("", "repeated header", f"the header is repeated before {rows_said(before)} and left out "
-                          "there; the logger was restarted perhaps, so look at the clock there", "dropped", tuple(before)))
+                          "there; the logger was restarted, so look at the clock there", "dropped", tuple(before)))
         rows = kept
     if table.open_end and len(rows) > 1 and is_cut(
             [split_row(row, table.delimiter) for row in rows[-301:-1]], split_row(rows[-1], table.delimiter),
