@@ -1,4 +1,4 @@
-"""The lag between the inputs and the outputs of a dataset: said where it is clear, removed where the card asks for it."""
+"""The lag between the inputs and the outputs of a dataset: said where it is clear, removed on request."""
 
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ def shifted(run: Trajectory, lag: float) -> Trajectory:
         kept = np.flatnonzero((edges[:-1] >= run.time[0] - 1e-9) & (edges[1:] <= run.time[-1] + step + 1e-9))
         inputs = mean_of_held(run.time, run.input, edges)[kept]
     if len(kept) < SHORTEST:
-        raise ValueError(f"{run.name}: a lag of {lag:g} s leaves {len(kept)} of {run.length} samples; expected at least "
-                         f"{SHORTEST}: correct input_lag, or leave the run out")
+        raise ValueError(f"{run.name}: a lag of {lag:g} s leaves {len(kept)} of {run.length} samples; expected "
+                         f"{SHORTEST} or more: correct input_lag, or leave the run out")
     return Trajectory(run.time[kept], run.observation[kept], inputs, run.kind, run.split, run.name)
 
 
@@ -103,13 +103,14 @@ def _note(runs: Sequence[Trajectory], lag: float, found: Lag | None, step: float
     between = "" if found is None else (f" ({samples(abs(found.samples))}, between {1e3 * found.low * step:.3g} and "
                                         f"{1e3 * found.high * step:.3g} ms)")
     if done == "corrected":
-        said = f"the inputs, {1e3 * abs(lag):.3g} ms {'late' if lag > 0 else 'early'}{between}, are shifted to where they act"
+        side = "late" if lag > 0 else "early"
+        said = f"the inputs, {1e3 * abs(lag):.3g} ms {side}{between}, are shifted to where they act"
     elif lag > 0:
-        said = (f"the inputs stand {1e3 * lag:.3g} ms{between} after the motion that they cause, as if logged late; set "
-                f"input_lag: remove, or {lag:.4g}, to shift them")
+        said = (f"the inputs stand {1e3 * lag:.3g} ms{between} after the motion that they cause, as if logged late; "
+                f"set input_lag: remove, or {lag:.4g}, to shift them")
     else:
-        said = (f"the motion comes {-1e3 * lag:.3g} ms{between} after its inputs, by a delay of the robot or of the log; "
-                f"set input_lag: remove, or {lag:.4g}, to shift them, or give the model delays")
+        said = (f"the motion comes {-1e3 * lag:.3g} ms{between} after its inputs, by a delay of the robot or of the "
+                f"log; set input_lag: remove, or {lag:.4g}, to shift them, or give the model delays")
     numbers = {"lag_s": lag} | ({} if found is None else {"low_s": found.low * step, "high_s": found.high * step})
     return Note(named, "input lag", said, done, (), numbers)
 

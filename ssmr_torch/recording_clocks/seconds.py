@@ -12,6 +12,7 @@ from ssmr_torch.recording_clocks.disorder import (
     Stamps,
     copies,
     in_order,
+    oldest_first,
     parts_between_restarts,
     unwrapped,
     without_copies,
@@ -45,7 +46,8 @@ def clock_of(table: Table, name: str, file: str, rules: ClockRules) -> Clock:
     time, first = exact_seconds(raw, unit) if unit else (scale * raw, 0)
     there = np.flatnonzero(np.isfinite(time))
     if len(there) < 2:
-        raise ValueError(f"{name}: {len(there)} of {len(time)} rows have a stamp; expected one in each row")
+        raise ValueError(f"{name}: {len(there)} of {len(time)} rows have a stamp; expected one in each row: correct "
+                         "columns.time, or give sampling_time")
     stamps = Stamps(time[there], there)
     if rules.stamps == "even":
         clock = _spread(name, Stamps(time, np.arange(len(time))), rules)
@@ -98,11 +100,12 @@ def _numeric(column: np.ndarray) -> np.ndarray:
 def _ordered(table: Table, name: str, file: str, stamps: Stamps, scale: float, rules: ClockRules,
              raw: np.ndarray) -> Clock:
     column = rules.frame or _named(rules.time)
+    stamps = oldest_first(name, stamps)
     copied = copies(table, stamps)
     if rules.same_stamp == "refuse":
         refuse_shared_stamps(name, stamps.time, copied)
     if typical_step(stamps.time) == 0:
-        raise ValueError(f"{name}: the stamps fall in every row; expected increasing time")
+        raise ValueError(f"{name}: the stamps never rise; expected increasing time: give sampling_time instead")
     if rules.frame is None:
         refuse_bursts(name, stamps.time[~copied])
     unit = "s" if is_text(_column(table, column, file)) else rules.unit

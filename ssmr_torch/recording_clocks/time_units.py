@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0}
-SYNONYMS = {"µs": "us", "μs": "us", "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "milliseconds": "ms", "usec": "us",
-            "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "minutes": "min", "days": "d"}
+SYNONYMS = {"µs": "us", "μs": "us", "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "milliseconds": "ms",
+            "usec": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "minutes": "min", "days": "d"}
 EXACT = 2 ** 40         # integers beyond lose digits as float64 seconds, so that the first is subtracted before
 FEW = 10                # whole steps smaller than this may number frames
 STEADY = 0.95           # share of the steps that are alike, where numbers count frames

@@ -21,8 +21,8 @@ AROUND = np.linspace(-1.5, 1.5, 13)     # samples around a first guess where the
 
 
 class Shift(NamedTuple):
-    """offset: s, and drift: share, that are added to the inputs' time: t + offset + drift·(t − first). told: whether the
-    recordings tell them. moved, drifted: whether each differs from 0 clearly.
+    """offset: s, and drift: share, that are added to the inputs' time: t + offset + drift·(t − first). told: whether
+    the recordings tell them. moved, drifted: whether each differs from 0 clearly.
     """
 
     offset: float = 0.0
@@ -43,7 +43,7 @@ def joined(name: str, outputs: Clock, observation: np.ndarray, commands: Clock, 
     Raises ValueError for clocks that share too little time, or that start again.
     """
     if any(note.kind == "clock restarts" for note in (*outputs.notes, *commands.notes)):
-        raise ValueError(f"{name}: one of the two clocks starts again, so the other cannot follow; cut both files there")
+        raise ValueError(f"{name}: one of the two clocks starts again, which the other does not; cut both files there")
     time = np.interp(np.arange(len(outputs.time)), np.flatnonzero(np.isfinite(outputs.time)),
                      outputs.time[np.isfinite(outputs.time)])
     there = np.isfinite(commands.time)
@@ -62,8 +62,8 @@ def joined(name: str, outputs: Clock, observation: np.ndarray, commands: Clock, 
     kept = np.ones(len(time), dtype=bool) if still else _known(time, sent)
     if not kept.all():
         cut = outputs.rows[~kept]
-        notes.append(Note(name, "no inputs", f"no inputs are known at {rows_said(cut)}, before the first command or long "
-                          "after the last; cut", "cut", tuple(cut)))
+        notes.append(Note(name, "no inputs", f"no inputs are known at {rows_said(cut)}, before the first command or "
+                          "long after the last; cut", "cut", tuple(cut)))
         if kept.sum() < 2:
             raise ValueError(f"{name}: inputs from {sent[0]:.6g} to {sent[-1]:.6g} s are known at {int(kept.sum())} of "
                              f"the {len(time)} samples, from {time[0]:.6g} to {time[-1]:.6g} s; give clock_offset")
