@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ssmr_torch.recording_clocks.bursts import even, mean_interval, refuse_bursts, refuse_shared_stamps
@@ -35,6 +37,7 @@ def clock_of(table: Table, name: str, file: str, rules: ClockRules) -> Clock:
     Raises ValueError, with the remedy, for stamps that are no times, an implausible interval, a clock with too few
     digits, bursts, wrong single stamps, and rows that share a stamp.
     """
+    rules = _as_in_file(rules, table)
     if rules.time is None and rules.frame is None:
         interval = table.interval if rules.interval is None else rules.interval
         if interval is None:
@@ -55,6 +58,15 @@ def clock_of(table: Table, name: str, file: str, rules: ClockRules) -> Clock:
         clock = _ordered(table, name, file, stamps, scale, rules, raw[there])
     origin = round(first * scale * SECOND) if unit != "ns" else first
     return _with_unstamped(clock, table.length)._replace(origin=origin)
+
+
+def _as_in_file(rules: ClockRules, table: Table) -> ClockRules:
+    """The rules with the columns' names in the file: "time [ms]" for "time"."""
+    def found(name: str) -> str:
+        return table.find(name) or name
+
+    times = found(rules.time) if isinstance(rules.time, str) else rules.time and tuple(map(found, rules.time))
+    return replace(rules, time=times, frame=rules.frame and found(rules.frame), data=tuple(map(found, rules.data)))
 
 
 def _named(time) -> str:
