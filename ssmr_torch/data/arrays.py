@@ -51,9 +51,8 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     timestep: s, of the grid that irregular samples are put on; None for their median interval. missing: "refuse" rows
     that are not finite, or "split" the run there. minimum_length: samples; shorter runs are left out. range,
     interval_range: smallest and largest peak displacement, m, and sampling time, s, that are plausible; largest_input:
-    the same of |u|, in N or 1. stamps: "even" spreads the samples evenly over times that are not. same_stamp: "refuse"
-    samples of one time that differ, or keep the "first" or the "last". input_lag: "keep" it and say it where it is
-    clear, "remove" it, or s by which the inputs stand late.
+    the same of |u|, in N or 1. stamps: "even" spreads samples evenly over uneven times. same_stamp: "refuse" samples of
+    one time that differ, or keep the "first" or "last". input_lag: "keep", "remove", or s by which inputs stand late.
 
     Raises ValueError for lengths, names and units that do not fit, a decay whose inputs move or that does not end near
     zero, and recordings that no robot makes; the message names the run and the remedy.
@@ -78,8 +77,7 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     runs = _runs({"decays": decays, "controlled": controlled, "validation": validation, "test": test})
     output_names = _common("output", runs, [run.observation for run in runs], output_names)
     input_names = _common("input", runs, [run.input for run in runs], input_names)
-    clock = ClockRules("t", measured.time, None, None, None, stamps, same_stamp,
-                       (interval_range[0], interval_range[1]), tuple(output_names))
+    clock = ClockRules("t", measured.time, None, None, None, stamps, same_stamp, interval_range, tuple(output_names))
     recordings = [run.recording(output_names, input_names, measured, clock) for run in runs]
     _check_decays([each for each, run in zip(recordings, runs) if run.part == "decays"], input_names, measured)
     origin = np.zeros(len(output_names)) if rest is None else measured.scale("length") * _vector(rest, output_names)

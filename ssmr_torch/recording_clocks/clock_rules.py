@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -34,7 +35,7 @@ class ClockRules:
     rate: float | None = None
     stamps: str = "as_given"
     same_stamp: str = "refuse"
-    bounds: tuple[float, float] = INTERVAL
+    bounds: Sequence[float] = INTERVAL
     outputs: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
 

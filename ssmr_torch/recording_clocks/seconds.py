@@ -66,7 +66,8 @@ def _as_in_file(rules: ClockRules, table: Table) -> ClockRules:
         return table.find(name) or name
 
     times = found(rules.time) if isinstance(rules.time, str) else rules.time and tuple(map(found, rules.time))
-    return replace(rules, time=times, frame=rules.frame and found(rules.frame), data=tuple(map(found, rules.data)))
+    return replace(rules, time=times, frame=rules.frame and found(rules.frame),
+                   outputs=tuple(map(found, rules.outputs)), inputs=tuple(map(found, rules.inputs)))
 
 
 def _named(time) -> str:
