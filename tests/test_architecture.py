@@ -50,7 +50,7 @@ HOMES = {
              "recording_files/*", "collection/resumption.py", "paper/report_sections.py", "paper/workspace_errors.py",
              "data/matlab_reader.py"],
     "yaml": ["data/card_file.py", "data/card_text.py", "documents/stray_numbers.py"],
-    "pandas": ["recording_files/*"], "c3d": ["recording_files/c3d_reader.py"],
+    "pandas": ["recording_files/*", "recording_clocks/dates.py"], "c3d": ["recording_files/c3d_reader.py"],
     "rosbags": ["recording_files/rosbag_reader.py"],
     "pydantic": ["data/card_file.py", "data/recording_card.py", "data/units.py", "commissioning/robot_card.py"],
     "pydantic_core": ["data/card_file.py"],
