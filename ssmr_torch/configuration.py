@@ -22,7 +22,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.object_type import ObjectType
 from hydra.plugins.config_source import ConfigResult
 from hydra.utils import instantiate
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, MissingMandatoryValue, OmegaConf
+from omegaconf.errors import InterpolationResolutionError
 
 from ssmr_torch import found_settings, option_tables
 from ssmr_torch.defaults_of_signatures import is_library, keyword_defaults
@@ -136,6 +137,18 @@ def plain(config: DictConfig, without: Sequence[str] = ()) -> dict:
     """A configuration as plain values, interpolations resolved; without these of its keys."""
     kept = OmegaConf.masked_copy(config, [key for key in config if key not in without])
     return OmegaConf.to_container(kept, resolve=True)
+
+
+def plain_values(config: DictConfig) -> dict:
+    """A configuration as plain values; a part with an interpolation that nothing resolves stays as it is written."""
+    values = {}
+    for key in config:
+        part = OmegaConf.masked_copy(config, [key])
+        try:
+            values |= OmegaConf.to_container(part, resolve=True)
+        except (InterpolationResolutionError, MissingMandatoryValue):
+            values |= OmegaConf.to_container(part)
+    return values
 
 
 def changed(config: DictConfig, values: Mapping[str, object]) -> DictConfig:

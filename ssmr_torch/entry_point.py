@@ -13,16 +13,19 @@ from pathlib import Path
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import InstantiationException
+from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, MissingMandatoryValue, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
-from ssmr_torch.configuration import folder, register, settings_lines
+from ssmr_torch.configuration import folder, plain_values, register, settings_lines
+from ssmr_torch.configuration_check import check_values
 from ssmr_torch.extras import remedy
 from ssmr_torch.provenance import provenance
 from ssmr_torch.quiet_libraries import quiet
 from ssmr_torch.renamed import refuse_old_names
 from ssmr_torch.result_files import save_json
+from ssmr_torch.short_refusals import built_wrongly, in_one_sentence, one_sentence
 
 THEIRS = ("MisconfigurationException",)  # what Lightning raises for a trainer that is not possible here
 
@@ -40,16 +43,14 @@ def entry_point(name: str):
             keep_memory()
             directory = Path(HydraConfig.get().runtime.output_dir)
             try:
+                check_values(name, plain_values(config))
                 for line in settings_lines(config, HydraConfig.get().runtime.choices):
                     print(line, flush=True)
                 return function(config, directory)
             except Exception as error:
-                cause = error.__cause__ or error if isinstance(error, InstantiationException) else error
-                missing = remedy(error) or not_given(error)
-                expected = missing or isinstance(cause, (ValueError, OSError)) or type(cause).__name__ in THEIRS
+                what, expected = said(error)
                 if not expected and HydraConfig.get().mode != RunMode.MULTIRUN:
                     raise
-                what = missing or (str(cause) if expected else f"{type(cause).__name__}: {cause}")
                 return refuse(f"{name}: {what}", directory, error, expected)
 
         look_here()
@@ -68,7 +69,8 @@ def in_names_of_this_version(name: str, main):
             refuse_old_names(sys.argv[1:] if not given else ())
         except ValueError as error:
             raise SystemExit(f"{name}: {error}") from error
-        return main(*given)
+        with one_sentence(name):
+            return main(*given)
 
     return checked
 
@@ -84,6 +86,18 @@ def not_given(error: Exception) -> str | None:
     if not isinstance(error, MissingMandatoryValue):
         return None
     return f"{error.full_key} is not given; it has no default: {error.full_key}=VALUE"
+
+
+def said(error: Exception) -> tuple[str, bool]:
+    """What to say of an error, and whether it is one of the input: then this is all that is said."""
+    missing = remedy(error) or not_given(error)
+    if missing:
+        return missing, True
+    if built_wrongly(error) or isinstance(error, (HydraException, OmegaConfBaseException)):
+        return in_one_sentence(error), True
+    if isinstance(error, (ValueError, OSError)) or type(error).__name__ in THEIRS:
+        return str(error), True
+    return f"{type(error).__name__}: {error}", False
 
 
 def look_here() -> None:

@@ -17,6 +17,8 @@ from ssmr_torch.control.sampling import Sampling
 from ssmr_torch.keywords import configurable
 from ssmr_torch.models.polynomial import PregainModel
 from ssmr_torch.periods import whole_steps
+from ssmr_torch.quantities import PER_INPUT, TIMESTEP, VECTOR, WEIGHT
+from ssmr_torch.ranges import OrNone, Whole, checked
 from ssmr_torch.settings import positive_or_none
 from ssmr_torch.status import Status
 
@@ -45,6 +47,8 @@ class StaticPregainController:
     """
 
     @configurable(given=("timestep", "output_names"))
+    @checked(period=TIMESTEP, output_weight=WEIGHT, input_weight=PER_INPUT, horizon=OrNone(Whole(1, 500)),
+             safe_input=VECTOR)
     def __init__(self, model, task, input_bounds, *, timestep: float | None = None, output_names=None,
                  period: float = Predictive.period, output_weight: float = Predictive.output_weight,
                  input_weight: float | Sequence[float] = Predictive.input_weight, horizon: int | None = None,

@@ -12,9 +12,12 @@ from ssmr_torch.data.recording import Recording, assemble, fingerprint, refuse_w
 from ssmr_torch.data.recording_card import RecordingCard, read_recording_card
 from ssmr_torch.data.sampling import SamplingRule
 from ssmr_torch.data.units import Plausible
+from ssmr_torch.quantities import PATH
+from ssmr_torch.ranges import checked
 from ssmr_torch.trajectory import TrajectoryDataset
 
 
+@checked(card=PATH)
 def custom(card: str | Path) -> TrajectoryDataset:
     """Runs in CSV or HDF5 files that a YAML card describes (`RecordingCard`); files are relative to the card.
 

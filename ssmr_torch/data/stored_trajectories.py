@@ -9,9 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from ssmr_torch.data.recording import fingerprint
+from ssmr_torch.quantities import PATH
+from ssmr_torch.ranges import Each, Either, checked
 from ssmr_torch.trajectory import TrajectoryDataset
 
 
+@checked(path=Either(PATH, Each(PATH), said="the path of a file, or a list of paths"))
 def stored(path: str | Path | Sequence[str | Path]) -> TrajectoryDataset:
     """The dataset in a file written by `TrajectoryDataset.save`, or in several files of one robot, without conversion.
 

@@ -16,6 +16,8 @@ from ssmr_torch.fitting.rollout_sensitivities import coefficients, rollout_sensi
 from ssmr_torch.fitting.stability import StabilityGuard
 from ssmr_torch.models.batch_rollout import batch_of
 from ssmr_torch.models.torch_model import TorchModel
+from ssmr_torch.quantities import DURATION, GUARD, TEXT
+from ssmr_torch.ranges import Each, Number, Whole, checked
 
 LARGEST = 6000           # coefficients; the normal matrix of so many takes 0.3 GB
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-6, 1e4
@@ -111,6 +113,8 @@ class GaussNewtonFit(ModelFit):
 
     selects, monitor = True, "validation/guarded"
 
+    @checked(epochs=Whole(0, 100_000), starts=Whole(1, 1_000_000), horizon=DURATION, samples=Whole(1, 10_000),
+             trained=Each(TEXT, 1, 3), damping=Number(1e-12, 1e12), tolerance=Number(0.0, 1.0), **GUARD)
     def __init__(self, model: TorchModel, *, epochs: int = 15, starts: int = 400, horizon: float = 1.0,
                  samples: int = 10, trained: Sequence[str] = ("dynamics",), damping: float = 1e-2,
                  tolerance: float = 0.01, margin: float = 0.05, reach: float = 3.0, overdrive: float = 1.25):

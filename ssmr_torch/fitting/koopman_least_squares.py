@@ -12,6 +12,7 @@ from ssmr_torch.fitting.ssmr_least_squares import Regression
 from ssmr_torch.fitting.streamed_least_squares import Solution
 from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.periods import whole_multiple
+from ssmr_torch.ranges import Each, OneOf, checked
 
 # of the largest input of a run
 SAME_INPUT = 1e-9
@@ -34,6 +35,7 @@ class KoopmanLeastSquares(nn.Module):
 
     names = ("scale", "transition", "pregain")
 
+    @checked(kinds=Each(OneOf("decay", "controlled", "static"), 1, 3))
     def __init__(self, model: Koopman, *, kinds: tuple[str, ...] = ("decay", "controlled")):
         super().__init__()
         unknown = [kind for kind in kinds if kind not in ("decay", "controlled", "static")]

@@ -16,6 +16,8 @@ from ssmr_torch.fitting.scores import diverged_under_stress, scores
 from ssmr_torch.fitting.ssmr_least_squares import LeastSquaresModel
 from ssmr_torch.fitting.streamed_least_squares import PENALTIES, ridge_candidates
 from ssmr_torch.models.torch_model import TorchModel
+from ssmr_torch.quantities import RIDGE
+from ssmr_torch.ranges import OneOf, Whole, checked
 
 
 def description(model: TorchModel) -> dict:
@@ -78,6 +80,7 @@ class LeastSquaresFit(ModelFit):
     `solutions` keeps the solutions for the report of the fit.
     """
 
+    @checked(ridge=RIDGE, folds=Whole(2, 1000), penalty=OneOf(*sorted(PENALTIES)))
     def __init__(self, procedure: LeastSquaresModel, ridge: float | Sequence | dict = 0.0, folds: int = 5,
                  penalty: str = "ridge"):
         super().__init__(procedure.model)

@@ -17,6 +17,8 @@ from ssmr_torch.fitting.rollout_sensitivities import dynamics_tables
 from ssmr_torch.models.batch_rollout import BatchRollout, batch_of
 from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
 from ssmr_torch.models.torch_model import TorchModel
+from ssmr_torch.quantities import GUARD
+from ssmr_torch.ranges import checked
 
 HALVINGS = 12
 
@@ -168,6 +170,7 @@ class GuardFit(ModelFit):
 
     epochs, starts = 1, 1
 
+    @checked(**GUARD)
     def __init__(self, model: TorchModel, *, margin: float = 0.05, reach: float = 3.0,
                  overdrive: float = 1.25):
         super().__init__(model)

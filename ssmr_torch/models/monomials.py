@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cached_property, lru_cache
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, islice
 from math import comb
 from typing import NamedTuple
 
 import numpy as np
 
 from ssmr_torch.models.arrays import Array, like, namespace
+
+MOST = 100_000  # monomials of a model
 
 
 def count_monomials(variables: int, lowest: int, highest: int) -> int:
@@ -46,7 +48,9 @@ class Monomials:
 
     def __init__(self, variables: int, factors: Iterable[Iterable[int]]):
         self.variables = int(variables)
-        self.factors = tuple(tuple(sorted(int(factor) for factor in row)) for row in factors)
+        self.factors = tuple(tuple(sorted(int(factor) for factor in row)) for row in islice(factors, MOST + 1))
+        if len(self.factors) > MOST:
+            raise ValueError(too_many(f"more than {MOST}"))
         outside = [row for row in self.factors if row and not 0 <= row[0] <= row[-1] < self.variables]
         if variables < 1 or outside:
             raise ValueError(f"monomials of {variables} variables; a monomial outside them has the factors "
@@ -227,10 +231,19 @@ def _copied(content: bytes, shape: tuple, device):
 def graded(variables: int, lowest: int, highest: int) -> Monomials:
     """x^{lowest:highest}, all monomials of these degrees, in the order of scikit-learn's PolynomialFeatures.
 
-    Raises ValueError for fewer than one variable or a negative degree.
+    Raises ValueError for fewer than one variable, a negative degree, or more than `MOST` monomials.
     """
     if variables < 1 or lowest < 0:
         raise ValueError(f"monomials of {variables} variables with lowest degree {lowest}; "
                          "expected at least 1 variable and a lowest degree of at least 0")
+    count = count_monomials(variables, lowest, min(highest, MOST))
+    if count > MOST:
+        raise ValueError(too_many(f"{count}", f" of {variables} variables up to degree {highest}"))
     return Monomials(variables, [factors for degree in range(lowest, highest + 1)
                                  for factors in combinations_with_replacement(range(variables), degree)])
+
+
+def too_many(count: str, which: str = "") -> str:
+    """What to say of more monomials than a model can have."""
+    return (f"{count} monomials{which}; expected at most {MOST}: lower the degree, the number of delays or the number "
+            "of states")

@@ -11,6 +11,8 @@ from time import monotonic
 import numpy as np
 
 from ssmr_torch.plants.base import PlantSheet, finite_vector
+from ssmr_torch.quantities import ADDRESS, PATIENCE, WAIT
+from ssmr_torch.ranges import OrNone, checked
 from ssmr_torch.wire.link import ControllerLink
 from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotDescription, read_description, unpack
 from ssmr_torch.wire.stream import MeasurementStream, Place
@@ -30,6 +32,7 @@ class RemotePlant(PlantSheet):
     cannot be read. `reset` and `step` raise ConnectionError when the robot is gone.
     """
 
+    @checked(bind=ADDRESS, wait=WAIT, deadline=OrNone(WAIT), timeout=PATIENCE, patience=PATIENCE)
     def __init__(self, bind: str = "tcp://*:5555", wait: float = 60.0, deadline: float | None = None,
                  timeout: float = 0.5, patience: float = 60.0):
         self.bind, self.wait, self.deadline = bind, float(wait), deadline

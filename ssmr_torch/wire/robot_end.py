@@ -9,6 +9,8 @@ from time import monotonic
 
 import numpy as np
 
+from ssmr_torch.quantities import PATIENCE, TRUTH, VECTOR
+from ssmr_torch.ranges import Number, checked
 from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotDescription, read_start, unpack
 
 log = logging.getLogger(__name__)
@@ -32,6 +34,7 @@ class RobotEnd:
     Raises ValueError for settings out of range.
     """
 
+    @checked(real_time=TRUTH, timeout=PATIENCE, patience=PATIENCE, answer_within=Number(1e-3, 1.0), safe_input=VECTOR)
     def __init__(self, plant, link, *, real_time: bool = False, timeout: float = 0.2, patience: float = 60.0,
                  answer_within: float = 0.5, safe_input=None, clock: Callable[[], float] = monotonic):
         if not (timeout > 0 and patience > 0 and 0 < answer_within <= 1):
