@@ -7,14 +7,15 @@ top by `command_ranges`. So a command and Python refuse the same.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from functools import cache
 from importlib import import_module
 
+from ssmr_torch.checked_arguments import ranges_of
 from ssmr_torch.command_ranges import OF_ANY, OF_COMMANDS, OF_LIBRARIES
 from ssmr_torch.quantities import TRUTH
-from ssmr_torch.ranges import OneOf, Range, ranges_of, shown
+from ssmr_torch.ranges import OneOf, Range, shown
 
 NOT_GIVEN = "???"  # Hydra's mark of a key without a value; what needs it says so
 OF_HYDRA: dict[str, Range] = {"_partial_": TRUTH, "_recursive_": TRUTH,
@@ -51,22 +52,26 @@ def _check(key: str, value, ranges: Mapping[str, Range]) -> None:
 def _check_target(key: str, node: Mapping) -> None:
     """Check the arguments of what a `_target_` names."""
     target = node["_target_"]
-    ranges, names = declared(target) if isinstance(target, str) else ({}, None)
+    ranges, defaults = declared(target) if isinstance(target, str) else ({}, None)
     if not isinstance(target, str) or "." not in target:
         raise ValueError(f"{key}._target_ is {shown(target)}; expected the dotted name of a class or function")
     for name, value in node.items():
         where = f"{key}.{name}"
         if name in OF_HYDRA:
             OF_HYDRA[name](where, value)
-        elif name.startswith("_") or is_left_open(value):
+        elif name.startswith("_") or value == NOT_GIVEN:
             continue
-        elif names is not None and name not in names:
-            raise ValueError(f"{where} is no setting of {target.rpartition('.')[2]}{_near(name, names)}")
+        elif defaults is not None and name not in defaults:
+            raise ValueError(f"{where} is no setting of {target.rpartition('.')[2]}{_near(name, defaults)}")
+        elif is_left_open(value):
+            if name in ranges:
+                raise ValueError(f"{where} is {shown(value)}, which names nothing; expected {ranges[name].said}")
         else:
-            _check_argument(where, value, ranges.get(name), names)
+            _check_argument(where, value, ranges.get(name), defaults and defaults[name])
 
 
-def _check_argument(where: str, value, range_: Range | None, names) -> None:
+def _check_argument(where: str, value, range_: Range | None, default) -> None:
+    """default: of an argument without a range, which takes an object; None where anything may be given."""
     nested = list(_targets(where, value))
     for place, node in nested:
         _check_target(place, node)
@@ -74,7 +79,8 @@ def _check_argument(where: str, value, range_: Range | None, names) -> None:
         return
     if range_ is not None:
         range_(where, value)
-    elif names is not None and (isinstance(value, (str, int, float)) or isinstance(value, list) and value):
+    elif default is not None and (isinstance(value, (str, int, float)) or isinstance(value, list) and value
+                                  or value is None and default.default is not None):
         raise ValueError(f"{where} is {shown(value)}; expected {OBJECTS}")
 
 
@@ -96,9 +102,9 @@ def _targets(where: str, value) -> Iterator[tuple[str, Mapping]]:
 
 
 @cache
-def declared(target: str) -> tuple[dict[str, Range], tuple[str, ...] | None]:
-    """Ranges that a class or function declares, and the names of its arguments; None where it declares no ranges or
-    takes any name. Both are empty for what cannot be imported: building it says why.
+def declared(target: str) -> tuple[dict[str, Range], Mapping[str, inspect.Parameter] | None]:
+    """Ranges that a class or function declares, and its arguments by name; None where it declares no ranges or takes
+    any name. Both are empty for what cannot be imported: building it says why.
     """
     if target in OF_LIBRARIES:
         return OF_LIBRARIES[target], None
@@ -110,9 +116,9 @@ def declared(target: str) -> tuple[dict[str, Range], tuple[str, ...] | None]:
         return {}, None
     ranges = ranges_of(thing)
     anything = any(each.kind is each.VAR_KEYWORD for each in parameters.values())
-    return ranges, None if anything or not ranges else tuple(parameters)
+    return ranges, None if anything or not ranges else parameters
 
 
-def _near(name: str, names) -> str:
+def _near(name: str, names: Iterable[str]) -> str:
     near = get_close_matches(name, names, n=1)
     return f"; did you mean {near[0]}?" if near else f"; expected one of {', '.join(names)}"

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from ssmr_torch.ranges import Address, ByName, Each, Either, Number, OrNone, PathText, Range, Text, Truth, Whole
-
-
-def one_or_several(range_: Range, of_each: str) -> Range:
-    """One value that fits, or a list with one for each input, attempt or the like."""
-    return Either(range_, Each(range_), said=f"{range_.said}, or a list with one for each {of_each}")
-
+from ssmr_torch.ranges import (
+    Address,
+    Anything,
+    ByName,
+    Each,
+    Either,
+    Number,
+    OneOrEach,
+    OrNone,
+    PathText,
+    Text,
+    Truth,
+    Whole,
+)
 
 SEED = Whole(0, 2**32 - 1)
 TIMESTEP = Number(1e-6, 100.0, "s")
@@ -20,17 +27,17 @@ COUNT = Whole(0, 1_000_000)
 TRUTH, TEXT, PATH = Truth(), Text(), PathText()
 TRACKED = Each(Either(TEXT, Whole(0, 10_000), said="a name or a column's number"), 1, 1000)
 VECTOR = OrNone(Each(Number(-1e12, 1e12), 1, 10_000))
-WEIGHT, FREE_WEIGHT = Number(1e-12, 1e15), Number(0.0, 1e15)
-PER_INPUT = one_or_several(WEIGHT, "input")
-FREE_PER_INPUT = one_or_several(FREE_WEIGHT, "input")
-LIMIT = OrNone(one_or_several(Number(1e-9, 1e15), "input"))
-INPUT_BOUNDS = Each(one_or_several(Number(-1e12, 1e12), "input"), 2, 2)
+WEIGHT, FREE_WEIGHT = Number(1e-30, 1e40), Number(0.0, 1e40)
+OUTPUT_WEIGHT = Number(1e-30, 1e40, "1/m²")
+PER_INPUT = OneOrEach(WEIGHT, "input")
+FREE_PER_INPUT = OneOrEach(FREE_WEIGHT, "input")
+LIMIT = OrNone(OneOrEach(Number(1e-9, 1e15), "input"))
+INPUT_BOUNDS = Each(OneOrEach(Number(-1e12, 1e12), "input"), 2, 2)
 NOISE = Number(1e-12, 1e9)
-PLACES = ByName(Either(Whole(0, 10_000_000), OrNone(Each(Number(-100.0, 100.0, "m"), 3, 3)),
-                       said="a node's number, three numbers in m, or null"))
+PLACES = ByName(Anything())  # a node's number, or a place, which the mesh has to have
 OF_RANGE = Number(0.0, 1.0, above=True)
 STAY, HELD = Number(0.0, 1e5, "s"), Number(1e-4, 1e5, "s")
-CANDIDATES = one_or_several(Number(0.0, 1e12), "attempt")
+CANDIDATES = OneOrEach(Number(0.0, 1e12), "attempt")
 RIDGE = Either(CANDIDATES, ByName(CANDIDATES), said=f"{CANDIDATES.said}, or a mapping of regressions to them")
 GUARD = {"margin": Number(0.0, 1e3, "1/s"), "reach": Number(1.0, 1e6, above=True), "overdrive": Number(1.0, 100.0)}
 STATES = Either(Whole(1, 500), Text(), said="a whole number from 1 to 500, or a rule such as variance:0.99 or gap")

@@ -1,22 +1,14 @@
-"""Ranges of settings: what each may be, declared once beside what takes it, and checked before any work.
-
-`checked(horizon=Whole(1, 500))` decorates a function, a constructor or a class; its arguments are then checked at each
-call, and a command checks its configuration by the same declaration (`configuration_check`) before it builds anything.
-"""
+"""Ranges of settings: what each may be, in one sentence."""
 
 from __future__ import annotations
 
-import functools
-import inspect
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from math import inf
 from numbers import Real
-from typing import TypeVar
 
 import numpy as np
 
-F = TypeVar("F", bound=Callable)
 LONGEST = 60  # characters of a wrong value that a message repeats
 
 
@@ -37,8 +29,11 @@ class Range:
     def __call__(self, name: str, value):
         value = plain(value)
         if not self.fits(value):
-            raise ValueError(f"{name} is {shown(value)}; expected {self.said}")
+            self.refuse(name, value)
         return self.kept(value)
+
+    def refuse(self, name: str, value, said: str = ""):
+        raise ValueError(f"{name} is {shown(value)}; expected {said or self.said}")
 
 
 class Number(Range):
@@ -46,18 +41,24 @@ class Number(Range):
 
     def __init__(self, least: float = -inf, most: float = inf, unit: str = "", *, above: bool = False,
                  infinite: bool = False):
-        self.least, self.most, self.above, self.infinite = least, most, above, infinite
+        self.least, self.most, self.unit, self.above, self.infinite = least, most, unit, above, infinite
         self.said = f"a number {_span(least, most, above)}{f' {unit}' if unit else ''}{', or inf' * infinite}"
 
     def fits(self, value) -> bool:
+        if self.infinite and value in ("inf", "-inf"):  # as a file has it
+            value = float(value)
         if not is_number(value) or value != value:
             return False
         if abs(value) == inf:
-            return self.infinite and (value > 0 or self.least == -inf)
+            return self.infinite and (value > 0 or self.least < 0)
         return (self.least < value if self.above else self.least <= value) and value <= self.most
 
     def kept(self, value):
         return value if isinstance(value, int) else float(value)
+
+    def refuse(self, name: str, value, said: str = ""):
+        unit = f" {self.unit}" if self.unit and is_number(value) else ""
+        raise ValueError(f"{name} is {shown(value)}{unit}; expected {said or self.said}")
 
 
 class Whole(Range):
@@ -65,7 +66,7 @@ class Whole(Range):
 
     def __init__(self, least: int, most: int):
         self.least, self.most = least, most
-        self.said = f"a whole number {_span(least, most, False)}"
+        self.said = f"a whole number from {least} to {most}"
 
     def fits(self, value) -> bool:
         return is_number(value) and self.least <= value <= self.most and value == value // 1
@@ -142,8 +143,8 @@ class OrNone(Range):
         if value is None:
             return None
         value = plain(value)
-        if not isinstance(self.inner, (Each, ByName)) and not self.inner.fits(value):
-            raise ValueError(f"{name} is {shown(value)}; expected {self.said}")
+        if not isinstance(self.inner, (Each, ByName, OneOrEach)) and not self.inner.fits(value):
+            self.inner.refuse(name, value, self.said)
         return self.inner(name, value)
 
 
@@ -202,6 +203,18 @@ class Either(Range):
         return next(each for each in self.ranges if each.fits(value)).kept(value)
 
 
+class OneOrEach(Either):
+    """A value that fits, or a list with one for each input, attempt or the like."""
+
+    def __init__(self, inner: Range, of_each: str):
+        super().__init__(inner, Each(inner), said=f"{inner.said}, or a list with one for each {of_each}")
+
+    def __call__(self, name: str, value):
+        if is_list(value):
+            return self.ranges[1](name, value)
+        return self.ranges[0](name, value) if is_number(value) else super().__call__(name, value)
+
+
 class Function(Range):
     """A function, or an object that is called like one."""
 
@@ -243,58 +256,9 @@ def shown(value) -> str:
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}…"
 
 
-def checked(**ranges: Range) -> Callable[[F], F]:
-    """Decorate a function, constructor or class: at each call these arguments are checked, and whole numbers become
-    integers. `ranges_of` reads the declaration. Raises TypeError for a name that is no argument.
-    """
-    def decorate(thing):
-        if isinstance(thing, type):
-            thing.__init__ = _checking(thing.__init__, ranges)
-            return thing
-        return _checking(thing, ranges)
-
-    return decorate
-
-
-def _checking(function, ranges: Mapping[str, Range]):
-    names = list(inspect.signature(function).parameters)
-    if unknown := set(ranges) - set(names):
-        raise TypeError(f"{function.__qualname__} takes no {', '.join(sorted(unknown))}")
-    positions = {name: place for place, name in enumerate(names)}
-
-    @functools.wraps(function)
-    def call(*given, **named):
-        if any(name in named for name in ranges):
-            named = {name: ranges[name](name, value) if name in ranges else value for name, value in named.items()}
-        places = {positions[name]: name for name in ranges if positions[name] < len(given)}
-        if places:
-            given = tuple(ranges[places[place]](places[place], value) if place in places else value
-                          for place, value in enumerate(given))
-        return function(*given, **named)
-
-    call.ranges = dict(getattr(function, "ranges", {})) | dict(ranges)
-    return call
-
-
-def ranges_of(thing) -> dict[str, Range]:
-    """The ranges that a function or class declares, with those of its bases and of what it hands its keywords on to."""
-    if isinstance(thing, type):
-        found: dict[str, Range] = {}
-        for each in reversed(thing.__mro__):
-            found |= getattr(each.__dict__.get("__init__"), "ranges", {})
-            found |= each.__dict__.get("ranges", {})
-            source = getattr(each.__dict__.get("__init__"), "source", None)
-            found = (ranges_of(source) if source is not None else {}) | found
-        return found
-    source = getattr(thing, "source", None)
-    if callable(thing):
-        return (ranges_of(source) if source is not None else {}) | getattr(thing, "ranges", {})
-    return ranges_of(type(thing))
-
-
 def _span(least: float, most: float, above: bool) -> str:
     """The numbers of a range in words."""
-    low, high = (f"{each:.15g}" if isinstance(each, float) else str(each) for each in (least, most))
+    low, high = (f"{each:.15g}" if each != float(f"{each:g}") else f"{each:g}" for each in (least, most))
     if least == -inf and most == inf:
         return "that is finite"
     if most == inf:

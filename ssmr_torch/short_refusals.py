@@ -14,6 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 MOST = 12       # options that a sentence lists
 LONGEST = 300   # characters of what a library says
+OF_THE_COMMAND_LINE = (HydraException, OmegaConfBaseException)
 FAULTS_OF_SETTINGS = (ValueError, OSError, TypeError, ArithmeticError, LookupError, AttributeError, ImportError,
                       MemoryError, RuntimeError)
 
@@ -34,8 +35,9 @@ def in_one_sentence(error: BaseException) -> str:
         return f"{missing[1]} is no group of options of this command; ssmr COMMAND --help lists them"
     key = next((str(key) for each in _chain(error) if (key := getattr(each, "full_key", None))), "")
     first = _line(str(error.__cause__ or error) if "Error merging override" in said else said)
-    override = re.search(r"Error (?:parsing|merging) override '([^']*)'", said)
-    where = override[1] if override else key
+    where = getattr(error, "override", None) or key
+    if override := re.search(r"Error (?:parsing|merging) override '([^']*)'", said):
+        where = override[1]
     return first if not where or where in first else f"{where}: {first}"
 
 
@@ -70,7 +72,7 @@ def _not_built(error: InstantiationException) -> str:
 def built_wrongly(error: BaseException) -> bool:
     """Whether an exception says that a configured object could not be built from its settings."""
     return isinstance(error, InstantiationException) and isinstance(error.__cause__ or error, (
-        *FAULTS_OF_SETTINGS, HydraException, OmegaConfBaseException))
+        *FAULTS_OF_SETTINGS, *OF_THE_COMMAND_LINE))
 
 
 def _line(text: str) -> str:
@@ -98,7 +100,7 @@ def one_sentence(name: str) -> Iterator[None]:
             return theirs(function)
         try:
             return function()
-        except (HydraException, OmegaConfBaseException) as error:
+        except OF_THE_COMMAND_LINE as error:
             raise SystemExit(f"{name}: {in_one_sentence(error)}") from error
         except Exception as error:
             failed = error

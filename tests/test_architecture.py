@@ -77,7 +77,7 @@ EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "contr
 TOUCHES_FILES = [
     "trajectory.py", "benchmarks/*", "deployment/artifact.py", "deployment/checkpoint_copy.py", "closed_loop/record.py",
     "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py",
-    "commissioning/directory.py",
+    "commissioning/directory.py", "faults/*",
     "controller_design/report.py", "defaults_of_signatures.py", "data/*", "documents/*", "search/*",
     "deployment/exported_programs.py", "fitting/fit.py", "fitting/checkpoints.py", "evaluation/*figures.py",
     "report/html_page.py", "report/run_sections.py",

@@ -14,9 +14,10 @@ from time import perf_counter
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.keywords import configurable
 from ssmr_torch.quantities import PATH, TEXT
-from ssmr_torch.ranges import Number, OrNone, checked
+from ssmr_torch.ranges import Number, OrNone
 from ssmr_torch.tasks.obstacles import Circle, HalfPlane
 
 LOGGER = logging.getLogger(__name__)

@@ -21,8 +21,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.random import Generator
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.quantities import HELD, OF_RANGE, SEED, STAY
-from ssmr_torch.ranges import Number, Whole, checked
+from ssmr_torch.ranges import Number, Whole
 
 
 class Excitation(Protocol):

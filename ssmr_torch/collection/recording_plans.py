@@ -11,11 +11,12 @@ from dataclasses import asdict, dataclass, is_dataclass
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.collection import excitation as signals
 from ssmr_torch.collection.excitation import Excitation, Release, neutral_input
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.quantities import DURATION, TEXT
-from ssmr_torch.ranges import OneOf, OrNone, Whole, checked
+from ssmr_torch.ranges import OneOf, OrNone, Whole
 from ssmr_torch.trajectory import KINDS, SPLITS
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.collection.resumption import COMPLETE
 from ssmr_torch.commissioning.channels import admissible_share, channel_faults, channels_said, expectations
 from ssmr_torch.commissioning.circles import circle_about, reach, tracked_outputs
@@ -22,7 +23,7 @@ from ssmr_torch.commissioning.safety_guard import GuardedPlant, SafetyStop
 from ssmr_torch.commissioning.steps import measure_steps
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.quantities import POSITIVE_SHARE, SEED, TEXT, TRUTH
-from ssmr_torch.ranges import Number, Whole, checked
+from ssmr_torch.ranges import Number, Whole
 from ssmr_torch.settings import Settings, positive, whole
 from ssmr_torch.tasks.references import Task
 

@@ -6,11 +6,12 @@ from collections import Counter
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.control.chart_estimator import ChartEstimator
 from ssmr_torch.control.outlier_gate import InnovationGate
 from ssmr_torch.periods import whole_steps
 from ssmr_torch.quantities import NOISE, TRUTH
-from ssmr_torch.ranges import OneOf, OrNone, checked
+from ssmr_torch.ranges import OneOf, OrNone
 
 # If the norm of a state exceeds that of the training range by this factor, the filter restarts.
 RANGE_FACTOR = 3.0

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.column_files import pick, read_columns
 from ssmr_torch.data.recording import Recording, assemble, fingerprint, refuse_wrong_clock
 from ssmr_torch.data.recording_card import RecordingCard, read_recording_card
 from ssmr_torch.data.sampling import SamplingRule
 from ssmr_torch.data.units import Plausible
 from ssmr_torch.quantities import PATH
-from ssmr_torch.ranges import checked
 from ssmr_torch.trajectory import TrajectoryDataset
 
 

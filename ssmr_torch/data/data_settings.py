@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.quantities import COUNT, DURATION, LENGTH, SEED, TRUTH
-from ssmr_torch.ranges import Number, OrNone, Whole, checked
+from ssmr_torch.ranges import Number, OrNone, Whole
 from ssmr_torch.settings import Settings, at_least, non_negative, positive, whole
 
 

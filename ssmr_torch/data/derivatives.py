@@ -8,7 +8,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import savgol_coeffs
 
-from ssmr_torch.ranges import Number, Whole, checked
+from ssmr_torch.checked_arguments import checked
+from ssmr_torch.ranges import Number, Whole
 
 
 @dataclass(frozen=True)

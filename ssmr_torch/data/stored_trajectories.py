@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.recording import fingerprint
 from ssmr_torch.quantities import PATH
-from ssmr_torch.ranges import Each, Either, checked
+from ssmr_torch.ranges import Each, Either
 from ssmr_torch.trajectory import TrajectoryDataset
 
 

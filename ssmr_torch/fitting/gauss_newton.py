@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.windows import RolloutBatch
 from ssmr_torch.fitting.lightning_fit import ModelFit
 from ssmr_torch.fitting.rollout_sensitivities import coefficients, rollout_sensitivities
@@ -17,7 +18,7 @@ from ssmr_torch.fitting.stability import StabilityGuard
 from ssmr_torch.models.batch_rollout import batch_of
 from ssmr_torch.models.torch_model import TorchModel
 from ssmr_torch.quantities import DURATION, GUARD, TEXT
-from ssmr_torch.ranges import Each, Number, Whole, checked
+from ssmr_torch.ranges import Each, Number, Whole
 
 LARGEST = 6000           # coefficients; the normal matrix of so many takes 0.3 GB
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-6, 1e4

@@ -9,12 +9,13 @@ from time import process_time
 import torch
 from torch import Tensor
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.windows import RolloutBatch
 from ssmr_torch.fitting.lightning_fit import ModelFit
 from ssmr_torch.fitting.scaled_adam import ScaledAdam, table_scales
 from ssmr_torch.models.torch_model import TorchModel
 from ssmr_torch.quantities import DURATION, TEXT
-from ssmr_torch.ranges import Each, Number, OrNone, Whole, checked
+from ssmr_torch.ranges import Each, Number, OrNone, Whole
 
 
 class GradientFit(ModelFit):

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, distributed
 from torch.utils.data import DistributedSampler
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.starts import ScoredRuns
 from ssmr_torch.data.windows import Segment, delay_windows
 from ssmr_torch.fitting.closed_form_fit import ExactSolve
@@ -17,7 +18,7 @@ from ssmr_torch.fitting.ssmr_least_squares import LeastSquaresModel
 from ssmr_torch.fitting.streamed_least_squares import PENALTIES, ridge_candidates
 from ssmr_torch.models.torch_model import TorchModel
 from ssmr_torch.quantities import RIDGE
-from ssmr_torch.ranges import OneOf, Whole, checked
+from ssmr_torch.ranges import OneOf, Whole
 
 
 def description(model: TorchModel) -> dict:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from tqdm import tqdm
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.refusals import check_learnable, refuse_still_inputs
 from ssmr_torch.data.windows import Segment
 from ssmr_torch.fitting.closed_form_fit import ExactSolve
@@ -13,7 +14,6 @@ from ssmr_torch.keywords import configurable
 from ssmr_torch.models.slow_fast import SlowFast
 from ssmr_torch.periods import whole_multiple
 from ssmr_torch.quantities import TRUTH
-from ssmr_torch.ranges import checked
 from ssmr_torch.selection.choose import Choice, choose
 from ssmr_torch.selection.settings import SelectionSettings
 

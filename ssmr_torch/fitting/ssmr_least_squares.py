@@ -8,12 +8,13 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.derivatives import Stencil, central_difference
 from ssmr_torch.data.windows import Segment, delay_windows
 from ssmr_torch.fitting.streamed_least_squares import Solution, singular_values
 from ssmr_torch.models.monomials import graded
 from ssmr_torch.models.ssmr import SSMR
-from ssmr_torch.ranges import OneOf, OrNone, Whole, checked
+from ssmr_torch.ranges import OneOf, OrNone, Whole
 
 
 class Regression(NamedTuple):

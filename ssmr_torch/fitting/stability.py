@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.windows import RolloutBatch, RolloutDataset
 from ssmr_torch.fitting.lightning_fit import ModelFit
 from ssmr_torch.fitting.rollout_sensitivities import dynamics_tables
@@ -18,7 +19,6 @@ from ssmr_torch.models.batch_rollout import BatchRollout, batch_of
 from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
 from ssmr_torch.models.torch_model import TorchModel
 from ssmr_torch.quantities import GUARD
-from ssmr_torch.ranges import checked
 
 HALVINGS = 12
 

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.windows import Segment
 from ssmr_torch.fitting.closed_form_fit import ExactSolve
 from ssmr_torch.fitting.dimension import captured_variance
@@ -21,7 +22,7 @@ from ssmr_torch.models.torch_model import fill
 from ssmr_torch.models.tpwl import TPWL
 from ssmr_torch.plants.finite_element.robot import FiniteElementRobot
 from ssmr_torch.quantities import NOISE, TEXT, TRUTH
-from ssmr_torch.ranges import Either, Number, Whole, checked
+from ssmr_torch.ranges import Either, Number, Whole
 
 FOREIGN = 0.02  # relative to the outputs' size: a replay with a larger error belongs to a different robot
 

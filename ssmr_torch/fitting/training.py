@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from lightning.pytorch.callbacks import ModelCheckpoint
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.data.derivatives import Stencil
 from ssmr_torch.data.refusals import refuse_still_inputs
@@ -32,7 +33,7 @@ from ssmr_torch.models.neural_ode import NeuralODE
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.models.torch_model import PolynomialTorchModel, TorchModel
 from ssmr_torch.quantities import RIDGE
-from ssmr_torch.ranges import OneOf, Whole, checked
+from ssmr_torch.ranges import OneOf, Whole
 from ssmr_torch.trajectory import TrajectoryDataset
 
 # The λ from which cross-validation chooses, by regression name; "default" is for regressions that are not named.

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.models.named_structures import control_augmented_structure
 from ssmr_torch.models.torch_model import PolynomialTorchModel, check_degrees, table
 from ssmr_torch.quantities import DEGREE, DELAYS, MODEL_TIMESTEP, STATES, TIMESTEP, TRUTH
-from ssmr_torch.ranges import OrNone, checked
+from ssmr_torch.ranges import OrNone
 
 
 class ControlAugmentedSSMR(PolynomialTorchModel):

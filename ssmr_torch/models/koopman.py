@@ -5,11 +5,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.models.named_structures import koopman, koopman_structure
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.torch_model import TorchModel, table
 from ssmr_torch.quantities import DEGREE, DELAYS, MODEL_TIMESTEP, TIMESTEP, TRUTH
-from ssmr_torch.ranges import OrNone, checked
+from ssmr_torch.ranges import OrNone
 
 
 class Koopman(TorchModel):

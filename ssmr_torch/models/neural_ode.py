@@ -7,10 +7,11 @@ import math
 import torch
 from torch import Tensor, nn
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.models.neural import NeuralModel
 from ssmr_torch.models.torch_model import TorchModel, check_degrees
 from ssmr_torch.quantities import DELAYS, MODEL_TIMESTEP, STATES, SUBSTEPS, TIMESTEP
-from ssmr_torch.ranges import OrNone, Whole, checked
+from ssmr_torch.ranges import OrNone, Whole
 
 
 class NeuralODE(TorchModel):

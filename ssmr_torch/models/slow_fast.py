@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import torch
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.models.monomials import Monomials
 from ssmr_torch.models.output_coordinates import coordinates_from_plain
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.structure import Structure
 from ssmr_torch.models.torch_model import PolynomialTorchModel, TorchModel, table
 from ssmr_torch.quantities import DELAYS, MODEL_TIMESTEP, TIMESTEP
-from ssmr_torch.ranges import Number, OrNone, checked
+from ssmr_torch.ranges import Number, OrNone
 
 
 class SlowFast(PolynomialTorchModel):

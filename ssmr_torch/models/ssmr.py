@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.models.named_structures import ssm_structure
 from ssmr_torch.models.torch_model import PolynomialTorchModel, check_degrees, table
 from ssmr_torch.quantities import DEGREE, DEGREE_OR_NONE, DELAYS, MODEL_TIMESTEP, STATES, SUBSTEPS, TIMESTEP
-from ssmr_torch.ranges import OrNone, checked
+from ssmr_torch.ranges import OrNone
 
 
 class SSMR(PolynomialTorchModel):

@@ -5,11 +5,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.models.piecewise_linear import PiecewiseLinearModel
 from ssmr_torch.models.torch_model import TorchModel
 from ssmr_torch.periods import whole_multiple
 from ssmr_torch.quantities import DELAYS, MODEL_TIMESTEP, TIMESTEP
-from ssmr_torch.ranges import OrNone, checked
+from ssmr_torch.ranges import OrNone
 
 
 class TPWL(TorchModel):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.column_files import pick, read_columns
 from ssmr_torch.data.matlab_reader import read_koopman_struct, read_ssmlearn_cells, read_vector
 from ssmr_torch.data.recording import Recording, assemble, fingerprint, rest_at_end
@@ -19,7 +20,7 @@ from ssmr_torch.data.run_boundaries import check_seams, find_seams
 from ssmr_torch.data.sampling import IRREGULAR, SamplingRule
 from ssmr_torch.data.units import Units
 from ssmr_torch.quantities import COUNT, PATH, SHARE, TEXT, TIMESTEP, TRUTH
-from ssmr_torch.ranges import Each, Number, OneOf, OrNone, Text, Whole, checked
+from ssmr_torch.ranges import Each, Number, OneOf, OrNone, Text, Whole
 from ssmr_torch.trajectory import TrajectoryDataset
 
 __all__ = ["real_diamond", "authors_simulated_diamond", "real_trunk", "authors_simulated_trunk"]

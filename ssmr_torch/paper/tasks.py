@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.quantities import TEXT, TRACKED
-from ssmr_torch.ranges import Number, checked
+from ssmr_torch.ranges import Number
 from ssmr_torch.tasks.references import Task
 from ssmr_torch.tasks.symbols import constant_speed
 

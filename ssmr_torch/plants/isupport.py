@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.plants.base import input_range
 from ssmr_torch.plants.soromox_robot import SoromoxRobot
 from ssmr_torch.quantities import INPUT_BOUNDS, TIMESTEP
-from ssmr_torch.ranges import Number, checked
+from ssmr_torch.ranges import Number
 
 # m, from the base to the tip: interface, section, interface, section, interface.
 LENGTHS = (0.041, 0.180, 0.027, 0.180, 0.006)

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.plants.base import input_range
 from ssmr_torch.plants.soromox_robot import SoromoxRobot
 from ssmr_torch.quantities import INPUT_BOUNDS, TIMESTEP
-from ssmr_torch.ranges import Number, checked
+from ssmr_torch.ranges import Number
 
 RODS = 2                  # each stands for a pair of rods, one behind the other, that turn together
 GRAVITY = (0.0, 9.81)     # m/s², y down

@@ -10,9 +10,10 @@ from time import monotonic
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.plants.base import PlantSheet, finite_vector
 from ssmr_torch.quantities import ADDRESS, PATIENCE, WAIT
-from ssmr_torch.ranges import OrNone, checked
+from ssmr_torch.ranges import OrNone
 from ssmr_torch.wire.link import ControllerLink
 from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotDescription, read_description, unpack
 from ssmr_torch.wire.stream import MeasurementStream, Place

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.plants.base import PlantSheet, finite_vector, input_range
 from ssmr_torch.quantities import INPUT_BOUNDS, TIMESTEP
-from ssmr_torch.ranges import Number, OneOf, Whole, checked
+from ssmr_torch.ranges import Number, OneOf, Whole
 
 SLOW_DIM, FAST_DIM, CABLES = 6, 4, 4
 

@@ -6,12 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.extras import require
 from ssmr_torch.periods import whole_multiple
 from ssmr_torch.plants.base import input_range
 from ssmr_torch.plants.flat_state import FlatStatePlant
 from ssmr_torch.quantities import INPUT_BOUNDS, TIMESTEP
-from ssmr_torch.ranges import Number, Whole, checked
+from ssmr_torch.ranges import Number, Whole
 
 GRAVITY = 9.81  # m/s²
 SIDES = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}

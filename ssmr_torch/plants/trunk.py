@@ -7,13 +7,13 @@ from types import MappingProxyType
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.keywords import configurable
 from ssmr_torch.plants.finite_element.cables import Cables
 from ssmr_torch.plants.finite_element.mesh_files import read_mesh
 from ssmr_torch.plants.finite_element.robot import FiniteElementRobot, plain
 from ssmr_torch.plants.finite_element.structure import Mechanics
 from ssmr_torch.quantities import INPUT_BOUNDS, PATH, PLACES, TEXT, TIMESTEP
-from ssmr_torch.ranges import checked
 
 SILICONE = Mechanics(young=450e3, poisson=0.45, mass=0.042, mass_damping=0.1, stiffness_damping=0.1,
                      gravity=(0.0, 0.0, 9.81))

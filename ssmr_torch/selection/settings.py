@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.quantities import LENGTH, TEXT, TRUTH
-from ssmr_torch.ranges import Anything, ByName, Each, Either, Number, OneOf, OrNone, Whole, checked
+from ssmr_torch.ranges import Anything, ByName, Each, Either, Number, OneOf, OrNone, Whole
 from ssmr_torch.settings import Settings, non_negative, whole
 
 PURPOSES = ("prediction", "control")

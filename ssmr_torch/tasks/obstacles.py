@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.quantities import LENGTH, SEED
-from ssmr_torch.ranges import Each, Either, Function, Number, Whole, checked
+from ssmr_torch.ranges import Each, Either, Function, Number, Whole
 from ssmr_torch.tasks.curves import Drift, refuse_nameless
 
 

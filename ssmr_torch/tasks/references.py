@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssmr_torch import data_sheet as sheet
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.quantities import TEXT, TRACKED
-from ssmr_torch.ranges import Number, Whole, checked
+from ssmr_torch.ranges import Number, Whole
 from ssmr_torch.tasks.curves import CirclePath, EightPath, Polyline, RampedPhase, RosePath, refuse_nameless
 from ssmr_torch.tasks.obstacles import Circle, HalfPlane
 

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.extras import require
 from ssmr_torch.quantities import PATH, TEXT, TRACKED
-from ssmr_torch.ranges import Number, OrNone, Text, checked
+from ssmr_torch.ranges import Number, OrNone, Text
 from ssmr_torch.tasks.curves import Polyline
 from ssmr_torch.tasks.references import Task, ramped_phase
 

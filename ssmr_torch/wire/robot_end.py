@@ -9,8 +9,9 @@ from time import monotonic
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.quantities import PATIENCE, TRUTH, VECTOR
-from ssmr_torch.ranges import Number, checked
+from ssmr_torch.ranges import Number
 from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotDescription, read_start, unpack
 
 log = logging.getLogger(__name__)

@@ -8,9 +8,9 @@ from concurrent.futures import Future
 
 from joblib.externals.loky import get_reusable_executor
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.paper.executors.worker_process import begin
 from ssmr_torch.quantities import WORKERS
-from ssmr_torch.ranges import checked
 
 
 class JoblibProcesses:

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.paper.executors.worker_process import begin
 from ssmr_torch.quantities import WORKERS
-from ssmr_torch.ranges import checked
 
 
 class LocalProcesses:

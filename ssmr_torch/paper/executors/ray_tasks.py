@@ -10,9 +10,10 @@ from concurrent.futures import Future
 
 import ray
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.paper.executors.worker_process import SINGLE
 from ssmr_torch.quantities import TEXT, WORKERS
-from ssmr_torch.ranges import OrNone, checked
+from ssmr_torch.ranges import OrNone
 
 
 class RayTasks:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import submitit
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.quantities import PATH, TEXT, WORKERS
-from ssmr_torch.ranges import Number, OrNone, Whole, checked
+from ssmr_torch.ranges import Number, OrNone, Whole
 
 
 class SubmititJobs:

@@ -9,12 +9,13 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csc_array
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.plants.base import finite_vector
 from ssmr_torch.plants.finite_element import elements
 from ssmr_torch.plants.finite_element.cables import Cables
 from ssmr_torch.plants.finite_element.mesh import TetrahedralMesh
 from ssmr_torch.plants.finite_element.sparsity import Sparsity
-from ssmr_torch.ranges import Each, Number, OneOf, checked
+from ssmr_torch.ranges import Each, Number, OneOf
 
 MASS_DISTRIBUTIONS = ("nodal", "volume")
 
