@@ -20,6 +20,11 @@ OF_CONTROLLERS = {"artifact": PATH, "qp": Text("the name of a solver: proxqp, da
 
 OF_COMMANDS: dict[str, dict[str, Range]] = {
     "collect": {"workers": OrNone(WORKERS)},
+    "read": {"files": Either(PATH, Each(PATH), said="the path of a file, or a list of paths"),
+             "card": OrNone(PATH)},
+    "faults": {"only": Each(TEXT, 0, 100), "repeats": Whole(1, 1000), "time_limit": Number(0.1, 1e6, "s"),
+               "progress": TRUTH, **{f"sizes.{size}": Whole(0, 10**9) for size in (
+                   "flips", "steps", "frames", "settings", "moments")}},
     "check": {"recordings": OrNone(PATH)},
     "train": {"name": TEXT, "metric": Text("validation/rmse, validation/rmse_50ms, validation/rmse_200ms or "
                                            "validation/relative"), "resume": TRUTH, "save_to": OrNone(PATH),
@@ -38,11 +43,12 @@ OF_COMMANDS: dict[str, dict[str, Range]] = {
     "design": {"bounds": BOUNDS, "artifact": PATH, "progress": OrNone(TRUTH)},
     "control": OF_CONTROLLERS | {"residuals": OrNone(PATH), "quantile": OrNone(Number(1e-6, 1 - 1e-6)),
                                  "noise_std": LENGTH, "progress": TRUTH, "picture": TRUTH, "animate": TRUTH},
-    "serve_controller": OF_CONTROLLERS | {"bind": ADDRESS, "runs": RUNS, "deadline": OrNone(WAIT),
-                                          "timeout": PATIENCE, "patience": PATIENCE, "rest_tolerance": Number(
-                                              1e-9, 100.0, "m")},
-    "serve_plant": {"connect": ADDRESS, "real_time": TRUTH, "runs": RUNS, "wait": OrNone(WAIT), "timeout": PATIENCE,
-                    "patience": PATIENCE, "answer_within": Number(1e-3, 1.0), "safe_input": VECTOR},
+    "serve_controller": OF_CONTROLLERS | {
+        "bind": ADDRESS, "key_file": OrNone(PATH), "runs": RUNS, "deadline": OrNone(WAIT), "timeout": PATIENCE,
+        "patience": PATIENCE, "rest_tolerance": Number(1e-9, 100.0, "m")},
+    "serve_plant": {
+        "connect": ADDRESS, "key_file": OrNone(PATH), "real_time": TRUTH, "runs": RUNS, "wait": OrNone(WAIT),
+        "timeout": PATIENCE, "patience": PATIENCE, "answer_within": Number(1e-3, 1.0), "safe_input": VECTOR},
     "commission": {"card": PATH, "confirm": OneOf("ask", "yes")},
     "report": {"directory": PATH, "title": TEXT},
     "reproduce": {"figures": Either(TEXT, Each(TEXT), said="all, the name of a figure, or a list of names"),

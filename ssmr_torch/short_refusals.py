@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import re
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 
-from hydra._internal import utils
 from hydra.errors import HydraException, InstantiationException
 from omegaconf.errors import OmegaConfBaseException
 
@@ -19,9 +16,17 @@ FAULTS_OF_SETTINGS = (ValueError, OSError, TypeError, ArithmeticError, LookupErr
                       MemoryError, RuntimeError)
 
 
-def in_one_sentence(error: BaseException) -> str:
-    """The sentence of an exception of Hydra or OmegaConf, or of what building a configured object raised."""
+def in_one_sentence(error: BaseException, words: Sequence[str] = ()) -> str:
+    """The sentence of an exception of Hydra or OmegaConf, or of what building a configured object raised.
+
+    words: of the command line, for an exception that does not name the one that it is about.
+    """
     said = str(error)
+    if "Config group override must be a string" in said:
+        wrong = next((word for word in words if re.fullmatch(r"[\w/@]*=([-+.\d].*|\{.*|true|false)", word)), "a group")
+        return f"{wrong} is no option; expected the name of one: ssmr COMMAND --help lists them"
+    if isinstance(error, ValueError) and not isinstance(error, OF_THE_COMMAND_LINE):
+        return said
     if option := re.search(r"Could not find '([^']+)'(?s:.*?)Available options in '[^']*':\s*(.*)", said, re.S):
         return _no_option(option[1], option[2].split("Config search path")[0].split())
     if isinstance(error, InstantiationException):
@@ -88,30 +93,3 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
     while error is not None:
         yield error
         error = error.__cause__ or error.__context__
-
-
-@contextmanager
-def one_sentence(name: str) -> Iterator[None]:
-    """While this holds, Hydra ends with one sentence where the command line is wrong; HYDRA_FULL_ERROR=1 shows all."""
-    theirs: Callable = utils.run_and_report
-
-    def report(function):
-        if os.environ.get("HYDRA_FULL_ERROR") == "1":
-            return theirs(function)
-        try:
-            return function()
-        except OF_THE_COMMAND_LINE as error:
-            raise SystemExit(f"{name}: {in_one_sentence(error)}") from error
-        except Exception as error:
-            failed = error
-
-        def again():
-            raise failed
-
-        return theirs(again)
-
-    utils.run_and_report = report
-    try:
-        yield
-    finally:
-        utils.run_and_report = theirs

@@ -37,16 +37,15 @@ def run_command(command: str, overrides: Sequence[str], directory: Path, limit: 
     try:
         with limited(limit), contextlib.redirect_stdout(heard), contextlib.redirect_stderr(heard):
             task = _task(command)
-            config = as_in_a_job(command, overrides, directory)
+            try:
+                config = as_in_a_job(command, overrides, directory)
+            except (*OF_THE_COMMAND_LINE, ValueError) as error:
+                raise SystemExit(f"{command}: {in_one_sentence(error, overrides)}") from error
             directory.mkdir(parents=True, exist_ok=True)
             task(config)
         how, said = "done", ""
     except SystemExit as end:
         how, said = ("refused", str(end.code)) if end.code else ("done", "")
-    except OF_THE_COMMAND_LINE as error:
-        how, said = "refused", f"{command}: {in_one_sentence(error)}"
-    except ValueError as error:
-        how, said = _of_names(command, error)
     except Late:
         how, said = "late", f"still at work after {limit:g} s"
     except Exception:
@@ -54,20 +53,15 @@ def run_command(command: str, overrides: Sequence[str], directory: Path, limit: 
     return Ended(how, said, monotonic() - begun)
 
 
-def _of_names(command: str, error: ValueError) -> tuple[str, str]:
-    """Names of earlier versions are refused before a configuration is composed; any other ValueError is a traceback."""
-    if any(frame.name == "refuse_old_names" for frame in traceback.extract_tb(error.__traceback__)):
-        return "refused", f"{command}: {error}"
-    return "traceback", traceback.format_exc(limit=-6)
-
-
 def _task(command: str):
     """What Hydra calls with the configuration: the entry point without its reading of the command line."""
     script = module_of(command)
-    if command != "benchmark":
-        return script.main.__wrapped__.__wrapped__
-    script.offer("benchmark", {name: script.settings_of(name) for name in script.NAMES})
-    return script.run.__wrapped__.__wrapped__
+    if command == "benchmark":
+        script.offer("benchmark", {name: script.settings_of(name) for name in script.NAMES})
+    layers = [script.run if command == "benchmark" else script.main]
+    while hasattr(layers[-1], "__wrapped__"):
+        layers.append(layers[-1].__wrapped__)
+    return layers[-2]
 
 
 @contextlib.contextmanager

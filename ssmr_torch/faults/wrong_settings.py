@@ -54,7 +54,7 @@ def judged(case: dict, directory: Path) -> dict:
     shutil.rmtree(directory, ignore_errors=True)
     line = " ".join(["ssmr", case["command"].replace("_", "-"), *case["overrides"]])
     outcome, said = verdict(ended, case["legal"], case["names"])
-    return {"kind": case["kind"], "case": line, "outcome": outcome, "said": said, "seconds": ended.seconds}
+    return {"kind": case["kind"], "case": line, "outcome": outcome, "said": said}
 
 
 def verdict(ended: Ended, legal: bool, names: Sequence[str]) -> tuple[str, str]:
@@ -65,7 +65,7 @@ def verdict(ended: Ended, legal: bool, names: Sequence[str]) -> tuple[str, str]:
         text = ended.said
         if text.count("\n") >= LINES or len(text) > CHARACTERS:
             return "wrong", f"refused in {text.count(chr(10)) + 1} lines of {len(text)} characters: {text}"
-        if names and not any(name.lower() in text.lower() for name in names):
+        if not legal and names and not any(name.lower() in text.lower() for name in names):
             return "wrong", f"refused without {' or '.join(names)}: {text}"
         return "refused", text
     if legal:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cached_property, lru_cache
-from itertools import combinations_with_replacement, islice
+from itertools import combinations_with_replacement
 from math import comb
 from typing import NamedTuple
 
@@ -12,12 +12,14 @@ import numpy as np
 
 from ssmr_torch.models.arrays import Array, like, namespace
 
-MOST = 100_000  # monomials of a model
+HIGHEST = 30  # degree of a monomial
+MOST = 50_000  # monomials, together with all their divisors
 
 
 def count_monomials(variables: int, lowest: int, highest: int) -> int:
     """Number of monomials of `variables` variables with lowest ≤ degree ≤ highest."""
-    return sum(comb(variables + degree - 1, degree) for degree in range(lowest, highest + 1))
+    return comb(variables + highest, highest) - (comb(variables + lowest - 1, lowest - 1) if lowest else 0) \
+        if highest >= lowest else 0
 
 
 class Derivative(NamedTuple):
@@ -48,9 +50,7 @@ class Monomials:
 
     def __init__(self, variables: int, factors: Iterable[Iterable[int]]):
         self.variables = int(variables)
-        self.factors = tuple(tuple(sorted(int(factor) for factor in row)) for row in islice(factors, MOST + 1))
-        if len(self.factors) > MOST:
-            raise ValueError(too_many(f"more than {MOST}"))
+        self.factors = tuple(tuple(sorted(int(factor) for factor in row)) for row in factors)
         outside = [row for row in self.factors if row and not 0 <= row[0] <= row[-1] < self.variables]
         if variables < 1 or outside:
             raise ValueError(f"monomials of {variables} variables; a monomial outside them has the factors "
@@ -59,6 +59,9 @@ class Monomials:
         if len(set(self.factors)) < len(self.factors):
             twice = next(row for row in self.factors if self.factors.count(row) > 1)
             raise ValueError(f"the monomial with the factors {twice} is given twice; give each once")
+        if len(self.factors) > MOST or max(map(len, self.factors), default=0) > HIGHEST:
+            raise ValueError(f"{len(self.factors)} monomials, up to the degree {max(map(len, self.factors))}; expected "
+                             f"at most {MOST} of a degree of at most {HIGHEST}")
         self._grade()
 
     def _grade(self) -> None:
@@ -70,6 +73,9 @@ class Monomials:
             below = graded.setdefault(degree - 1, set())
             for row in graded.get(degree, ()):
                 below.update(row[:k] + row[k + 1:] for k in range(degree))
+                if len(below) > MOST:
+                    raise ValueError(f"monomials with more than {MOST} divisors of the degree {degree - 1}; expected "
+                                     "monomials of a lower degree")
         self.closure = [row for degree in range(highest + 1) for row in sorted(graded[degree])]
         self._position = {row: position for position, row in enumerate(self.closure)}
         self.levels = []
@@ -231,19 +237,14 @@ def _copied(content: bytes, shape: tuple, device):
 def graded(variables: int, lowest: int, highest: int) -> Monomials:
     """x^{lowest:highest}, all monomials of these degrees, in the order of scikit-learn's PolynomialFeatures.
 
-    Raises ValueError for fewer than one variable, a negative degree, or more than `MOST` monomials.
+    Raises ValueError for fewer than one variable or a negative degree.
     """
     if variables < 1 or lowest < 0:
         raise ValueError(f"monomials of {variables} variables with lowest degree {lowest}; "
                          "expected at least 1 variable and a lowest degree of at least 0")
-    count = count_monomials(variables, lowest, min(highest, MOST))
-    if count > MOST:
-        raise ValueError(too_many(f"{count}", f" of {variables} variables up to degree {highest}"))
+    if highest > HIGHEST or (count := count_monomials(variables, lowest, highest)) > MOST:
+        many = f"{count} monomials" if highest <= HIGHEST else "more monomials than can be counted"
+        raise ValueError(f"a degree of {highest} in {variables} variables makes {many}; expected at most {MOST}, of a "
+                         f"degree of at most {HIGHEST}: lower the degree or the number of variables")
     return Monomials(variables, [factors for degree in range(lowest, highest + 1)
                                  for factors in combinations_with_replacement(range(variables), degree)])
-
-
-def too_many(count: str, which: str = "") -> str:
-    """What to say of more monomials than a model can have."""
-    return (f"{count} monomials{which}; expected at most {MOST}: lower the degree, the number of delays or the number "
-            "of states")
