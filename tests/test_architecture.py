@@ -46,10 +46,11 @@ HOMES = {
     "hydra": ["configuration.py", "entry_point.py", "search/*"],
     "omegaconf": ["configuration.py", "entry_point.py", "found_settings.py", "option_tables.py", "search/best_row.py"],
     "optuna": ["search/space.py", "search/trials.py"],
-    "h5py": ["hdf5_file.py", "trajectory_file.py", "closed_loop/record.py", "commissioning/directory.py",
+    "h5py": ["hdf5_file.py", "trajectory_file.py", "closed_loop/record.py", "commissioning/directory.py", "data/*",
              "recording_files/*", "collection/resumption.py", "paper/report_sections.py", "paper/workspace_errors.py"],
-    "yaml": ["data/card_file.py", "documents/stray_numbers.py"],
-    "pandas": ["recording_files/*"],
+    "yaml": ["data/card_file.py", "data/card_text.py", "documents/stray_numbers.py"],
+    "pandas": ["recording_files/*"], "c3d": ["recording_files/c3d_reader.py"],
+    "rosbags": ["recording_files/rosbag_reader.py"],
     "pydantic": ["data/card_file.py", "data/recording_card.py", "data/units.py", "commissioning/robot_card.py"],
     "pydantic_core": ["data/card_file.py"],
     "matplotlib": ["evaluation/*figures.py"],
@@ -74,15 +75,15 @@ NEVER = {
 EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "control"]}
 # Who touches files; all else takes and returns arrays.
 TOUCHES_FILES = [
-    "checksum.py", "hdf5_file.py", "trajectory_file.py", "benchmarks/*", "deployment/artifact.py",
-    "deployment/checkpoint_copy.py", "deployment/tables.py", "deployment/whole_directory.py", "closed_loop/record.py",
-    "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py",
-    "commissioning/directory.py",
+    "checksum.py", "hdf5_file.py", "trajectory_file.py", "found_settings.py", "run_directory.py", "provenance.py",
+    "result_files.py", "benchmarks/*", "deployment/artifact.py", "deployment/checkpoint_copy.py",
+    "deployment/tables.py", "deployment/whole_directory.py", "closed_loop/record.py", "paper/models.py",
+    "collection/*", "wire/runner.py", "command.py", "commissioning/directory.py",
     "controller_design/report.py", "defaults_of_signatures.py", "data/*", "documents/*", "search/*",
     "recording_files/*",
-    "deployment/exported_programs.py", "fitting/fit.py", "fitting/checkpoints.py", "evaluation/*figures.py",
-    "report/html_page.py", "report/run_sections.py",
-    "paper/job_run.py", "paper/report_sections.py", "paper/reproduction.py", "paper/result_tables.py",
+    "deployment/exported_programs.py", "fitting/fit.py", "fitting/checkpoints.py", "fitting/resumption.py",
+    "evaluation/*figures.py", "report/html_page.py",
+    "paper/job_run.py", "paper/report_sections.py", "paper/reproduction.py",
     "paper/workspace_errors.py",
     "plants/finite_element/mesh_files.py", "tasks/symbols.py", "closed_loop/rerun_view.py"]
 # paper/ can be deleted; the rules of its rooms go with it.

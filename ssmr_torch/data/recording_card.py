@@ -6,11 +6,20 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    FiniteFloat,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from ssmr_torch.data.card_file import Card, not_as_described, read_card, refuse_unknown
 from ssmr_torch.data.sampling import IRREGULAR
 from ssmr_torch.data.units import Plausible, Units
+from ssmr_torch.recording_faults.rules import CHOICES, MISSING, FaultRules
 from ssmr_torch.symmetry_turns import stated
 from ssmr_torch.trajectory import SPLITS
 
@@ -25,7 +34,18 @@ def _rising(bounds: list[float]) -> list[float]:
 
 
 Span = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2), AfterValidator(_rising)]
-Name = Annotated[str, Field(coerce_numbers_to_str=True)]  # YAML reads 7 as a number
+
+
+def _name(given: object) -> object:
+    """The name of a run; YAML reads 7 as a number, of which the text is known, and 1.10 as another, of which it is not.
+    """
+    if isinstance(given, bool | float) or given is None:
+        raise ValueError(f"a run is named {given!r}, which YAML does not read as text; write the name in quotes, as "
+                         f"\"{given}\"")
+    return str(given) if isinstance(given, int) else given
+
+
+Name = Annotated[str, BeforeValidator(_name)]
 
 
 class Columns(Card):
@@ -58,12 +78,14 @@ class RecordingCard(Card):
     seams: "auto", or rows by run. decays: names of the runs that are decays. split: {test: [...], validation:
     [...]}.
     sampling_time: in units.time, for files without a column of time. timestep: grid, s.
+    missing: what to do with empty cells, `recording_faults.missing_rows`. faults: what to do about each other kind of
+    fault, `recording_faults.rules.FaultRules`.
     range, interval_range, largest_input: what is plausible (`Plausible`), m, s, and N or 1.
     symmetry: {angle, axis, inputs} of a turn under which the robot stays the same,
     see `ssmr_torch.symmetry_turns.stated`.
     """
 
-    files: list[str] = Field(min_length=1, description="the names of one file or more")
+    files: list[str] = Field(min_length=1, description="the names of one file or more, or patterns such as '*.csv'")
     columns: Columns = Field(description="keys and values, as {observation: [x, y], input: [u]}")
     units: Units = Field(description="keys and values, as {length: mm}")
     rest: list | str = Field(description="a vector, " + " or ".join(map(repr, RESTS)))
@@ -76,12 +98,32 @@ class RecordingCard(Card):
     timestep: FiniteFloat | None = Field(None, description="a number of s")
     sampling: str = Field("resample", description="resample or refuse")
     irregularity: FiniteFloat = Field(IRREGULAR, description="a number")
-    missing: str = Field("refuse", description="refuse or split")
+    missing: str = Field("bridge", description="bridge, split or refuse")
+    faults: dict[str, str] = Field({}, description="keys and values, as {outliers: cut}")
     minimum_length: int = Field(10, description="a whole number")
     range: Span = Field(list(Plausible.displacement), description="two numbers in m, [smallest, largest]")
     interval_range: Span = Field(list(Plausible.interval), description="two numbers in s, [smallest, largest]")
     largest_input: FiniteFloat | None = Field(None, gt=0, description="a positive number in N or 1")
     symmetry: dict = Field({}, description="keys and values, as {angle: 90, axis: [0, 0, 1], inputs: [b, a]}")
+
+    @property
+    def rules(self) -> FaultRules:
+        """What is done about each kind of fault."""
+        return FaultRules.of(self.faults)
+
+    @field_validator("missing")
+    @classmethod
+    def _known_missing(cls, missing):
+        if missing not in MISSING:
+            raise not_as_described()
+        return missing
+
+    @field_validator("faults")
+    @classmethod
+    def _known_faults(cls, faults):
+        refuse_unknown("faults", faults, CHOICES)
+        FaultRules.of(faults)
+        return faults
 
     @field_validator("split", mode="before")
     @classmethod
@@ -112,6 +154,18 @@ class RecordingCard(Card):
             raise ValueError(f"rest is {rest!r}; expected {count} numbers in {info.data['units'].length}, one for each "
                              "observation column")
         return numbers
+
+    @model_validator(mode="after")
+    def _one_split_each(self) -> Self:
+        for key, names in {"decays": self.decays, "centred": self.centred,
+                           "split": [name for runs in self.split.values() for name in runs]}.items():
+            twice = sorted({name for name in names if names.count(name) > 1})
+            if twice:
+                where = [f"{key}.{split}" for split, runs in self.split.items() if twice[0] in runs] if key == "split" \
+                    else [key]
+                raise ValueError(f"{key} names the run {twice[0]!r} twice, in {' and '.join(where)}; expected each run "
+                                 "once")
+        return self
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

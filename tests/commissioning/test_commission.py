@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from ssmr_torch import command
-from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.checksum import sealed_json
+from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.commissioning.commission import STEPS
 from ssmr_torch.commissioning.safety_guard import SafetyStop
 from ssmr_torch.commissioning.steps import measure_steps
