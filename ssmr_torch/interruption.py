@@ -27,13 +27,14 @@ class Interrupted(KeyboardInterrupt):
 class End:
     """How the present command ends: the signal that came, what to say then, and how long the end may take.
 
-    remedy: what continues the work.   limit: s; None where a robot is moved, which takes its time to stop.
+    remedy: what continues the work.   further: what does once something is kept, see `can_go_on`.   limit: s; None
+    where a robot is moved, which takes its time to stop.
     """
 
     def __init__(self):
         self.command: str | None = None  # None while no command runs
         self.number: int | None = None
-        self.remedy = "the same command starts again"
+        self.remedy, self.further = "the same command starts again", ""
         self.limit: float | None = LIMIT
         self._last = 0.0
 
@@ -52,6 +53,10 @@ class End:
         if first or since > REPEATED:
             raise Interrupted(number)
 
+    def can_go_on(self) -> None:
+        """Something is kept from now on, with which `further` goes on."""
+        self.remedy = self.further or self.remedy
+
     @property
     def status(self) -> int:
         return 128 + self.number
@@ -66,6 +71,7 @@ class End:
 
 
 END = End()
+_parents: set[int] = set()
 
 
 @contextmanager
@@ -101,8 +107,13 @@ def ended_in_order(command: str) -> Iterator[None]:
         raise SystemExit(END.status)
 
 
-def end_with(parent: int) -> None:
-    """End this process at once when the process `parent` is no longer there, even if that one was killed."""
+def belong_to(parent: int) -> None:
+    """Leave Ctrl-C to the process `parent`, and end at once when that one is no longer there, even if it was killed."""
+    if parent in _parents:
+        return
+    _parents.add(parent)
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_watch, args=(parent,), daemon=True).start()
 
 

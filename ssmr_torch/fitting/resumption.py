@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ssmr_torch import __version__
+from ssmr_torch.interruption import END
 from ssmr_torch.result_files import read_json, save_json
 from ssmr_torch.run import STRETCH
 from ssmr_torch.trajectory import TrajectoryDataset
@@ -45,6 +46,12 @@ def begin(folder: Path, now: Mapping) -> None:
                  *(folder.parent / name for name in RESULTS)):
         path.unlink(missing_ok=True)
     save_json(folder / BEGUN, now)
+    END.can_go_on()
+
+
+def was_begun(folder: Path) -> bool:
+    """Whether a training has written into this folder of checkpoints."""
+    return (folder / BEGUN).is_file() or any(folder.glob(f"*/{LAST}"))
 
 
 def go_on(folder: Path, steps: Sequence[str], now: Mapping) -> None:
@@ -63,6 +70,7 @@ def go_on(folder: Path, steps: Sequence[str], now: Mapping) -> None:
         raise ValueError(f"the run in {directory} cannot be resumed: {difference}; resume it as it was started, or "
                          "start a new run in another hydra.run.dir")
     save_json(folder / BEGUN, now)
+    END.can_go_on()
 
 
 def _stored(path: Path) -> dict:

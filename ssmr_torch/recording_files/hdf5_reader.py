@@ -19,9 +19,9 @@ ABSENT = ("_FillValue", "missing_value")
 def read(path: Path) -> list[Table]:
     """The runs in an HDF5 (or NetCDF 4) file, see `nested_arrays.tables_of`.
 
-    The attributes scale_factor, add_offset and _FillValue are applied, as NetCDF defines them; units is read.
-    Raises ValueError for a damaged file, for one that leads to other files (see `hdf5_file.open_hdf5`), and for one
-    without an array of numbers.
+    The attributes scale_factor, add_offset and _FillValue are applied, as NetCDF defines them; units is read. Links to
+    other files are refused (`hdf5_file.open_hdf5`).
+    Raises ValueError for a damaged file and for one without an array of numbers.
     """
     with open_hdf5(path) as file:
         try:
