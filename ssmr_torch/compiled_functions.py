@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import logging
-import os
-import stat
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numba
 from numba.core.caching import FunctionCache
+
+from ssmr_torch.own_folder import has_home, own_folder
 
 log = logging.getLogger(__name__)
 _said: set[str] = set()
 
 
 def compiled(**options: Any) -> Callable:
-    """Decorator: `numba.njit` with these options. What it compiles is kept beside the package, in the user's cache, or
-    in a folder of this user among the temporary files, whichever can be written first; else in no file.
+    """Decorator: `numba.njit` with these options. What it compiles is kept beside the package or in the
+    user's home, whichever can be written; without a home in a folder of this user among the temporary files; else in no
+    file.
 
     The variable NUMBA_CACHE_DIR names another folder. A full disk or a damaged file there costs a compilation, nothing
     else.
@@ -27,10 +26,12 @@ def compiled(**options: Any) -> Callable:
 
     def decorate(function):
         made = numba.njit(**options)(function)
+        if not has_home() and not numba.config.CACHE_DIR:
+            numba.config.CACHE_DIR = str(own_folder() or "")
         try:
             made._cache = _Kept(function)
         except RuntimeError:  # Numba has found no place
-            numba.config.CACHE_DIR = _own_folder() or ""
+            numba.config.CACHE_DIR = str(own_folder() or "")
             try:
                 made._cache = _Kept(function)
             except RuntimeError:
@@ -55,22 +56,6 @@ class _Kept(FunctionCache):
             super().save_overload(sig, data)
         except OSError as error:
             _say(f"compiled functions cannot be kept in {self.cache_path} ({error})")
-
-
-def _own_folder() -> str | None:
-    """A folder that only this user can read and write, among the temporary files; None where there is none.
-
-    What lies there is run, so it must not be another user's.
-    """
-    user = getattr(os, "getuid", lambda: "user")()
-    try:
-        folder = Path(tempfile.gettempdir()) / f"ssmr_torch-{user}"
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-    except OSError:
-        return None
-    own = stat.S_ISDIR(found.st_mode) and found.st_uid == user and not found.st_mode & 0o077
-    return str(folder) if own else None
 
 
 def _say(line: str) -> None:
