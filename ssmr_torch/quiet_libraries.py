@@ -1,9 +1,10 @@
-"""Silences log lines and warnings of libraries that do not concern the user, and gives them a place for their caches."""
+"""Silences lines of libraries that do not concern the user, and gives these libraries a place for their caches."""
 
 from __future__ import annotations
 
 import logging
 import os
+import sys
 import warnings
 
 from ssmr_torch.own_folder import has_home, own_folder
@@ -16,11 +17,19 @@ LIGHTNING = "lightning.pytorch.utilities.rank_zero"
 
 def quiet() -> None:
     """Silence Lightning's log lines about missing accelerators and its services, and deprecation warnings inside it."""
+    print_anything()
     if not has_home():
         settle()
     logging.getLogger(LIGHTNING).setLevel(logging.WARNING)
     for message in (".*LeafSpec", ".*torch.jit.script", ".*does not have many workers", ".*Checkpoint directory"):
         warnings.filterwarnings("ignore", message)
+
+
+def print_anything() -> None:
+    """Let a terminal that cannot show a character show a question mark; without this, printing it is an error."""
+    for stream in (sys.stdout, sys.stderr):
+        if getattr(stream, "errors", None) in ("strict", "surrogateescape"):
+            stream.reconfigure(errors="replace")
 
 
 def settle() -> None:
