@@ -32,8 +32,7 @@ HOMES = {
               "paper/delay_study.py", "benchmarks/*"],
     "lightning": ["data/datamodule.py", "fitting/*", "benchmarks/fit.py"],
     "sklearn": ["fitting/streamed_least_squares.py"],
-    "numba": ["control/*", "models/batch_kernel.py", "plants/finite_element/compiled.py", "plants/pressure_arm.py",
-              "plants/slow_manifold.py"],
+    "numba": ["compiled_functions.py"],
     "mujoco": ["plants/tendon_chain.py"], "elastica": ["plants/cosserat_rod.py"],
     "soromox": ["plants/isupport.py", "plants/planar_hsa.py"],
     "jax": ["plants/isupport.py", "plants/planar_hsa.py", "plants/soromox_robot.py"],
@@ -77,15 +76,16 @@ NEVER = {
 EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "control"]}
 # Who touches files; all else takes and returns arrays.
 TOUCHES_FILES = [
-    "checksum.py", "hdf5_file.py", "trajectory_file.py", "benchmarks/*", "deployment/artifact.py",
-    "deployment/checkpoint_copy.py", "deployment/tables.py", "deployment/whole_directory.py", "closed_loop/record.py",
-    "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py", "wire/seal.py",
-    "command.py", "commissioning/directory.py", "faults/*",
+    "checksum.py", "compiled_functions.py", "hdf5_file.py", "trajectory_file.py", "found_settings.py",
+    "run_directory.py", "provenance.py", "result_files.py", "benchmarks/*", "deployment/artifact.py",
+    "deployment/checkpoint_copy.py", "deployment/tables.py", "deployment/whole_directory.py",
+    "closed_loop/record.py", "paper/models.py", "collection/*", "wire/runner.py", "wire/seal.py", "command.py",
+    "commissioning/directory.py", "faults/*",
     "controller_design/report.py", "defaults_of_signatures.py", "data/*", "documents/*", "search/*",
     "recording_files/*",
-    "deployment/exported_programs.py", "fitting/fit.py", "fitting/checkpoints.py", "evaluation/*figures.py",
-    "report/html_page.py", "report/run_sections.py",
-    "paper/job_run.py", "paper/report_sections.py", "paper/reproduction.py", "paper/result_tables.py",
+    "deployment/exported_programs.py", "fitting/fit.py", "fitting/checkpoints.py", "fitting/resumption.py",
+    "evaluation/*figures.py", "report/html_page.py",
+    "paper/job_run.py", "paper/report_sections.py", "paper/reproduction.py",
     "paper/workspace_errors.py",
     "plants/finite_element/mesh_files.py", "tasks/symbols.py", "closed_loop/rerun_view.py"]
 # paper/ can be deleted; the rules of its rooms go with it.

@@ -112,7 +112,7 @@ class DesignReport(DataSheet):
                             *(f"![{path.stem}]({path.name})" for path in pictures)])
         for name, content in (("design.json", json.dumps(self.facts, indent=2, allow_nan=False)), ("design.md", text)):
             aside = folder / f"{name}.part"
-            aside.write_text(content + "\n")
+            aside.write_text(content + "\n", encoding="utf-8")
             os.replace(aside, folder / name)
         return folder
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from ssmr_torch.checked_arguments import checked
+from ssmr_torch.compiled_functions import compiled
 from ssmr_torch.plants.base import input_range
 from ssmr_torch.plants.flat_state import FlatStatePlant
 from ssmr_torch.quantities import INPUT_BOUNDS, TIMESTEP
@@ -20,7 +20,7 @@ OUTPUTS = ("tip_x", "tip_y", "middle_x", "middle_y")
 INPUTS = ("proximal_difference", "distal_difference")
 
 
-@njit(cache=True)
+@compiled()
 def _acceleration(q, v, pressure, shape, inertia, weight, stiffness, hardening, damping, drag, gain):
     """q̈ of the arcs, rad/s²; see the equation in `PressureArm`."""
     angle, rate = shape @ q, shape @ v
@@ -37,7 +37,7 @@ def _acceleration(q, v, pressure, shape, inertia, weight, stiffness, hardening, 
     return np.linalg.solve(shape.T @ mass @ shape, moment) - drag * v
 
 
-@njit(cache=True)
+@compiled()
 def _flow(state, u, h, substeps, lag, constants):
     """Runge-Kutta of order four for the arcs; the pressure, which is linear and independent, is exact."""
     n = (len(state) - len(u)) // 2
