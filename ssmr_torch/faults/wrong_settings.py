@@ -92,7 +92,7 @@ def _drawn(rng: np.random.Generator, files: Mapping[str, str]) -> dict:
     given = line.filled(files)
     found = keys(line.command, tuple(given))
     key = sorted(found)[rng.integers(len(found))]
-    if share < 0.2:
+    if share < 0.2 and "." in key:
         return _mistake(rng, line, given, key)
     range_, default = found[key]
     values = PREFERRED if rng.random() < 0.5 else VALUES

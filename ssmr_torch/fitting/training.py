@@ -204,8 +204,11 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
     keep = ModelCheckpoint(dirpath=directory, filename="best", save_last=True, enable_version_counter=False,
                            monitor=fit.monitor if validated and fit.selects else None,
                            save_on_train_epoch_end=not fit.selects or None)
-    trainer = build_trainer(max_epochs=fit.epochs, callbacks=[keep], logger=loggers, num_sanity_val_steps=0,
-                            check_val_every_n_epoch=1 if fit.selects else fit.epochs + 1)  # it is scored below
+    try:
+        trainer = build_trainer(max_epochs=fit.epochs, callbacks=[keep], logger=loggers, num_sanity_val_steps=0,
+                                check_val_every_n_epoch=1 if fit.selects else fit.epochs + 1)  # it is scored below
+    except TypeError as error:
+        raise ValueError(f"the trainer cannot be built: {error}") from error
     trainer.strategy.checkpoint_io = Checkpoints()
     last = directory / resumption.LAST
     before = {name: value.clone() for name, value in fit.model.state_dict().items()}
