@@ -8,7 +8,7 @@ from hydra.utils import instantiate
 from ssmr_torch.entry_point import entry_point, save_result
 
 
-@entry_point("serve_plant")
+@entry_point("serve_plant", at_a_robot=True)
 def main(config, directory):
     from ssmr_torch.wire.link import RobotLink
     from ssmr_torch.wire.robot_end import RobotEnd

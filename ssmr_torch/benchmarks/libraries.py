@@ -21,7 +21,6 @@ from torch.nn.utils import parametrizations, parametrize
 
 from ssmr_torch.control.quadratic_program import QuadraticProgram
 from ssmr_torch.control.solvers import solver_named
-from ssmr_torch.data.column_files import read_columns
 from ssmr_torch.data.run_boundaries import find_seams
 from ssmr_torch.data.windows import RolloutBatch
 from ssmr_torch.fitting.rollout_sensitivities import coefficients, rollout_sensitivities
@@ -29,6 +28,7 @@ from ssmr_torch.fitting.scaled_adam import ScaledAdam
 from ssmr_torch.fitting.streamed_least_squares import Factor, StreamedRegression, singular_values
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.plants.slow_manifold import SlowManifold
+from ssmr_torch.recording_files.reading import read_tables
 from ssmr_torch.wire.messages import Kind, Message, unpack
 
 REPEATS = 5
@@ -69,8 +69,8 @@ def reading(cells: int = 400_000) -> dict:
         path = Path(folder) / "a.csv"
         np.savetxt(path, table, delimiter=",", header="a,b,c,d,e,f,g,h", comments="", fmt="%.17g")
         slow, _ = timed(by_rows, path)
-        quick, columns = timed(read_columns, path)
-    wrong = np.count_nonzero(np.stack(list(columns.values()), axis=1) != table)
+        quick, tables = timed(read_tables, path)
+    wrong = np.count_nonzero(tables[0].numbers(list(tables[0].columns), path.name) != table)
     return row("CSV", "csv and NumPy", "pandas", (slow, quick), f"{cells} cells; {wrong} differ in the last bit")
 
 

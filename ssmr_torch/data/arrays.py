@@ -9,9 +9,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ssmr_torch.data.recording import Recording, assemble
+from ssmr_torch.data.assembly import assemble
 from ssmr_torch.data.sampling import SamplingRule
 from ssmr_torch.data.units import Plausible, Units
+from ssmr_torch.recording_faults.recording import Recording
 from ssmr_torch.trajectory import TrajectoryDataset
 
 logger = logging.getLogger(__name__)

@@ -12,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ssmr_torch.data.column_files import pick, read_columns
+from ssmr_torch.data.assembly import assemble, fingerprint, rest_at_end
 from ssmr_torch.data.matlab_reader import read_koopman_struct, read_ssmlearn_cells, read_vector
-from ssmr_torch.data.recording import Recording, assemble, fingerprint, rest_at_end
 from ssmr_torch.data.run_boundaries import check_seams, find_seams
 from ssmr_torch.data.sampling import IRREGULAR, SamplingRule
 from ssmr_torch.data.units import Units
+from ssmr_torch.recording_faults.recording import Recording
+from ssmr_torch.recording_files.reading import read_tables
 from ssmr_torch.trajectory import TrajectoryDataset
 
 __all__ = ["real_diamond", "authors_simulated_diamond", "real_trunk", "authors_simulated_trunk"]
@@ -213,7 +214,7 @@ def _koopman(path: Path, length: float, force: float, names: Sequence[str]) -> R
 
 def _part(run: Recording, start: int, stop: int | None, split: str, name: str) -> Recording:
     rows = slice(start, stop)
-    return replace(run, name=f"{run.name}_{name}", time=run.time[rows], observation=run.observation[rows],
+    return replace(run, name=f"{run.name}_{name}", rows=None, time=run.time[rows], observation=run.observation[rows],
                    input=run.input[rows], split=split, seams=())
 
 
@@ -249,8 +250,8 @@ def _set_points(run: Recording) -> list[Recording]:
 
 
 def _trunk_decays(path: Path, timestep: float, label: str) -> list[Recording]:
-    columns = read_columns(path)
-    positions, numbers = pick(columns, TRUNK_COLUMNS, path), pick(columns, ["ID"], path)[:, 0]
+    (table,) = read_tables(path)
+    positions, numbers = table.numbers(TRUNK_COLUMNS, path.name), table.numbers(["ID"], path.name)[:, 0]
     decays = []
     for number in np.unique(numbers):
         y = positions[numbers == number]
@@ -274,8 +275,7 @@ def _trunk_controlled(folder: Path, run: str, split: str, timestep: float) -> tu
     paths = [folder / f"observations_{run}.csv", folder / f"control_inputs_{run}.csv"]
     if run == "beta_controlled":
         paths[0] = folder / "observations_beta_controlled_200g.csv"
-    y = pick(read_columns(paths[0]), TRUNK_COLUMNS, paths[0])
-    u = pick(read_columns(paths[1]), _inputs(6), paths[1])
+    y, u = (read_tables(path)[0].numbers(names, path.name) for path, names in zip(paths, (TRUNK_COLUMNS, _inputs(6))))
     if len(y) != len(u) + 1:
         raise ValueError(f"{paths[0].name} has {len(y)} rows and {paths[1].name} {len(u)}; expected one "
                          "observation more than inputs")

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 import yaml
 
+from ssmr_torch.data.assembly import fingerprint, rest_at_end
 from ssmr_torch.data.card_reader import custom
-from ssmr_torch.data.recording import Recording, fingerprint, rest_at_end
 from ssmr_torch.data.recording_card import read_recording_card
 from ssmr_torch.data.stored_trajectories import stored
+from ssmr_torch.recording_faults.recording import Recording
 from ssmr_torch.trajectory import TrajectoryDataset
 
 

@@ -5,7 +5,7 @@ import logging
 import numpy as np
 import pytest
 
-from ssmr_torch.data.column_files import read_columns
+from ssmr_torch.recording_files.column_files import read_columns
 
 nan, inf = float("nan"), float("inf")
 
