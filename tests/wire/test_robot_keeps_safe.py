@@ -127,7 +127,8 @@ def test_when_patience_ends_the_robot_looks_for_a_controller_again(fake_robot, i
 
 
 def test_garbage_leaves_a_short_log(fake_robot, integrator, caplog):
-    robot, _ = fake_robot(controller(last=50, say=lambda m: [(1e-4, b"garbage")] * 20 + [(1e-3, command(m))]), integrator)
+    answers = controller(last=50, say=lambda m: [(1e-4, b"garbage")] * 20 + [(1e-3, command(m))])
+    robot, _ = fake_robot(answers, integrator)
     with caplog.at_level(logging.INFO):
         robot.drive()
     assert robot.counts == {"malformed": 1000} and len(caplog.records) < 10
