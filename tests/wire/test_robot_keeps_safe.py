@@ -12,7 +12,7 @@ from wire.test_robot_end import RUN, SAFE, H, command, controller
 
 from ssmr_torch.wire.messages import Code, Kind, Message
 from ssmr_torch.wire.robot_end import RobotEnd
-from ssmr_torch.wire.stopping import ended_in_order
+from ssmr_torch.wire.stopping import ended_by_signals
 
 
 def paused_once(link, integrator, seconds, at):
@@ -159,7 +159,7 @@ def test_a_signal_lets_the_robot_apply_its_safe_input_and_say_goodbye(fake_robot
 
 def test_a_second_signal_does_not_interrupt_the_goodbye():
     said = []
-    with pytest.raises(SystemExit), ended_in_order():
+    with pytest.raises(SystemExit), ended_by_signals():
         try:
             os.kill(os.getpid(), signal.SIGTERM)
             time.sleep(1.0)
@@ -175,11 +175,11 @@ def test_signals_of_somebody_else_and_of_other_threads_are_left_alone():
     mine, seen = lambda *_: None, []
     before = signal.signal(signal.SIGTERM, mine)
     try:
-        with ended_in_order():
+        with ended_by_signals():
             assert signal.getsignal(signal.SIGTERM) is mine
 
         def elsewhere():
-            with ended_in_order():
+            with ended_by_signals():
                 seen.append(signal.getsignal(signal.SIGHUP))
 
         thread = threading.Thread(target=elsewhere)
