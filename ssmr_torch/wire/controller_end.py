@@ -87,6 +87,11 @@ class ControllerEnd:
         """Whether a robot is in a run."""
         return self._peer is not None and not self._suspended
 
+    @property
+    def paced_peer(self) -> bytes | None:
+        """The connection of the robot in a run in real time; None without such a run."""
+        return self._peer if self.running and self._paced else None
+
     def due(self) -> float:
         """When `tick` must be called next, on the clock of `now`; infinite without a robot."""
         if not self.running:

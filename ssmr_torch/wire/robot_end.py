@@ -124,6 +124,8 @@ class RobotEnd:
         while True:
             if self._ask(observation, tick) is None:
                 self._unanswered()
+            if self.real_time:
+                self._be_safe_if_silent()  # it may have paused since it heard the command
             observation, observed = self.plant.step(self._input), self.clock()
             tick = self._pace()
             if self.real_time and self.clock() - observed >= 2 * self.description.timestep:
