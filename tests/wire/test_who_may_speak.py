@@ -68,6 +68,14 @@ def test_a_robot_that_does_not_begin_gives_way_to_another_one(end, hello):
     assert end.description.name == "second" and end.counts == {"foreign": 2, "lost_robots": 1}
 
 
+def test_a_robot_in_lock_step_that_was_killed_is_taken_again_before_patience_ends(end, hello):
+    Talk(end, hello()).measure(0, at=0.0)
+    for data, at, kind in ((hello(), 4.9, Kind.REFUSE), (hello(name="other"), 5.1, Kind.REFUSE),
+                           (hello(), 5.2, Kind.START)):
+        (_, answer), = end.receive(b"again", data, at)
+        assert answer.kind is kind
+
+
 def test_a_copy_of_the_hello_that_began_a_run_does_nothing(end, hello):
     data = request(hello(real_time=True), 77)
     talk = Talk(end, data)
