@@ -17,6 +17,7 @@ from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.collection.resumption import COMPLETE, FOLDER, discard_recorded
 from ssmr_torch.commissioning.robot_card import RobotCard, changed_keys, read_robot_card
 from ssmr_torch.plants.base import Plant
+from ssmr_torch.result_files import save_text
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 CARD, PROGRESS, REPORT = "card.yaml", "progress.json", "commissioning.md"
@@ -42,11 +43,7 @@ class CommissioningDirectory:
         self.write_json(PROGRESS, {"package": f"ssmr_torch {__version__}", "confirmed": [*self.confirmed(), entry]})
 
     def write(self, name: str, text: str) -> Path:
-        path = self.path / name
-        aside = path.with_name(path.name + ".part")
-        aside.write_text(text, encoding="utf-8")
-        os.replace(aside, path)
-        return path
+        return save_text(self.path / name, text)
 
     def write_json(self, name: str, content: dict | list) -> Path:
         return self.write(name, json.dumps(content, indent=1) + "\n")
