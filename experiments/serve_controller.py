@@ -17,11 +17,12 @@ def main(config, directory):
 
     loaded, task = artifact.load(config.artifact), instantiate(config.task)
     plain = OmegaConf.to_container(config, resolve=True)
-    save_json(directory / "settings.json", {part: plain[part] for part in ("controller", "task")})
+    save_json(directory / "settings.json", {part: plain[part] for part in ("controller", "task")}, sealed=False)
     last = serve_artifact(
         loaded, task, instantiate(config.controller), made_of(loaded, config.controller._target_), bind=config.bind,
         runs=config.runs, rest_tolerance=config.rest_tolerance, directory=directory, provenance=origin_of(config),
-        deadline=config.deadline, timeout=config.timeout, patience=config.patience, seed=config.seed)
+        deadline=config.deadline, timeout=config.timeout, patience=config.patience, seed=config.seed,
+        key_file=config.key_file)
     save_result(directory, last or {})
     return last["ise"] if last else float("inf")
 

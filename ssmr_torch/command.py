@@ -20,9 +20,10 @@ from ssmr_torch.renamed import COMMANDS as RENAMED
 from ssmr_torch.renamed import SINCE, refuse_old_names
 
 OF_THE_PAPER = ("delay-study", "reproduce") if find_spec("ssmr_torch.paper") else ()  # paper/ can be deleted
-COMMANDS = ("collect", "check", "train", "compare", "export", "evaluate", "design", "control", "commission",
-            "serve-controller", "serve-plant", "report", *OF_THE_PAPER, "benchmark", "docs-numbers")
+COMMANDS = ("collect", "read", "check", "train", "compare", "export", "evaluate", "design", "control", "commission",
+            "serve-controller", "serve-plant", "report", *OF_THE_PAPER, "benchmark", "faults", "docs-numbers")
 SEARCH = "search="
+OF_FILES = {"read": "files"}  # commands whose arguments without key are files, and the key that they mean
 COMPLETION = ("-sc", "--shell-completion")  # as Hydra has it
 
 
@@ -52,7 +53,7 @@ def main() -> int | None:
         print(f"ssmr {first}: {error}", file=sys.stderr)
         return 2
     with ended_in_order(first):
-        return start(first, arguments[1:])
+        return start(first, with_files(first, arguments[1:]))
 
 
 def start(command: str, arguments: list[str], program: str | None = None) -> int | None:
@@ -69,6 +70,18 @@ def start(command: str, arguments: list[str], program: str | None = None) -> int
         return 1
     entry()
     return 0
+
+
+def with_files(command: str, arguments: list[str]) -> list[str]:
+    """The arguments, with files that are named without a key under the key that the command has for them."""
+    key = OF_FILES.get(command)
+    options = [before.startswith("-") and "=" not in before for before in ["", *arguments]]
+    files = [argument for argument, of_option in zip(arguments, options) if key and not of_option
+             and not argument.startswith("-") and ("=" not in argument or Path(argument).exists())]
+    if not files:
+        return arguments
+    quoted = ("'" + file.replace("'", "\\'") + "'" for file in files)
+    return [*(argument for argument in arguments if argument not in files), f"{key}=[{','.join(quoted)}]"]
 
 
 def script(command: str) -> Path:

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 BROUGHT_BY = {  # module → extra of pyproject.toml
     "torch": "train", "lightning": "train", "hydra": "train", "omegaconf": "train", "sklearn": "train",
     "h5py": "data", "pandas": "data", "pydantic": "data", "scipy": "data", "yaml": "data", "tqdm": "data",
-    "pyarrow": "parquet", "meshio": "plants",
+    "pyarrow": "parquet", "c3d": "rigs", "rosbags": "rigs", "meshio": "plants",
     "matplotlib": "plots", "fontTools": "plots", "jinja2": "plots", "wandb": "wandb", "zmq": "wire", "daqp": "daqp",
     "qpsolvers": "qpsolvers", "onnx": "onnx", "onnxruntime": "onnx", "onnxscript": "onnx", "casadi": "casadi",
     "optuna": "search", "joblib": "parallel", "doit": "parallel", "submitit": "cluster",

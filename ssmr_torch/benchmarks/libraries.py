@@ -28,7 +28,7 @@ from ssmr_torch.fitting.scaled_adam import ScaledAdam
 from ssmr_torch.fitting.streamed_least_squares import Factor, StreamedRegression, singular_values
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.plants.slow_manifold import SlowManifold
-from ssmr_torch.recording_files.column_files import read_columns
+from ssmr_torch.recording_files.reading import read_tables
 from ssmr_torch.wire.messages import Kind, Message, unpack
 
 REPEATS = 5
@@ -69,8 +69,8 @@ def reading(cells: int = 400_000) -> dict:
         path = Path(folder) / "a.csv"
         np.savetxt(path, table, delimiter=",", header="a,b,c,d,e,f,g,h", comments="", fmt="%.17g")
         slow, _ = timed(by_rows, path)
-        quick, columns = timed(read_columns, path)
-    wrong = np.count_nonzero(np.stack(list(columns.values()), axis=1) != table)
+        quick, tables = timed(read_tables, path)
+    wrong = np.count_nonzero(tables[0].numbers(list(tables[0].columns), path.name) != table)
     return row("CSV", "csv and NumPy", "pandas", (slow, quick), f"{cells} cells; {wrong} differ in the last bit")
 
 

@@ -8,15 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from ssmr_torch.data.run_boundaries import count_blips, count_frozen, find_seams, find_time_gaps
+from ssmr_torch.data.run_boundaries import find_seams
 from ssmr_torch.data.sampling import SamplingRule, is_uniform, refuse_irregular, to_grid
 from ssmr_torch.data.units import Plausible, Units
+from ssmr_torch.recording_clocks.gaps import find_time_gaps
+from ssmr_torch.recording_clocks.time_units import refuse_implausible
 from ssmr_torch.recording_faults.recording import Recording
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 logger = logging.getLogger(__name__)
 
-FINDINGS = ("seams", "blips", "frozen_samples")
 PLAUSIBLE = Plausible()
 
 
@@ -24,8 +25,8 @@ def assemble(recordings: list[Recording], rest: np.ndarray, output_names, input_
              rule: SamplingRule, provenance: dict, plausible: Plausible = PLAUSIBLE) -> TrajectoryDataset:
     """The dataset of all recordings, observations measured from `rest` (p,) in m.
 
-    Adds to the provenance: intervals and peaks found, seams, blips, frozen and dropped samples. `units` are
-    those of the source, for the messages about what is not plausible.
+    Adds to the provenance: intervals and peaks found, seams, the notes of the recordings, and dropped runs. `units`
+    are those of the source, for the messages about what is not plausible.
     Raises ValueError for rows that are not finite (unless the rule splits there), time that does not
     increase, implausible intervals, displacements and inputs, and sampling that the rule refuses.
     """
@@ -37,10 +38,10 @@ def assemble(recordings: list[Recording], rest: np.ndarray, output_names, input_
     timestep = rule.timestep or _common_timestep([r.time[good] for r, good in usable])
     for recording, good in usable:
         refuse_irregular(recording.time[good], rule, timestep, recording.name)
-    findings = {recording.name: _findings(recording, good) for recording, good in usable}
+    seams = {recording.name: _seams(recording, good) for recording, good in usable}
     trajectories, dropped, resampled = [], [], 0
     for recording, good in usable:
-        kept, short, moved = _trajectories(recording, good, findings[recording.name]["seams"], rest, rule, timestep)
+        kept, short, moved = _trajectories(recording, good, seams[recording.name], rest, rule, timestep)
         trajectories, dropped, resampled = trajectories + kept, dropped + short, resampled + moved
     if not trajectories:
         raise ValueError(f"no run is left: all {len(dropped)} are shorter than {rule.minimum_length} samples")
@@ -49,7 +50,7 @@ def assemble(recordings: list[Recording], rest: np.ndarray, output_names, input_
         "sampling": _intervals(usable) | {"rule": rule.sampling, "timestep_s": float(timestep),
                                           "resampled_runs": resampled},
         "notes": [note.as_dict() for recording in recordings for note in recording.notes],
-        **{key: {name: found[key] for name, found in findings.items() if found[key]} for key in FINDINGS},
+        "seams": {name: found for name, found in seams.items() if found},
         "shorter_than_minimum": dropped, "minimum_length": rule.minimum_length}
     for recording in recordings:
         for note in recording.notes:
@@ -64,8 +65,7 @@ def refuse_wrong_clock(recordings: list[Recording], units: Units, plausible: Pla
         steps = np.diff(recording.time[np.isfinite(recording.time)])
         # Time that repeats or goes back has a message of its own.
         if (steps > 0).any():
-            plausible.refuse("time", float(np.median(steps[steps > 0])), units,
-                             f"{recording.name}: the median sampling interval")
+            refuse_implausible(recording.name, float(np.median(steps[steps > 0])), units.time, plausible.interval)
 
 
 def fingerprint(*paths: str | Path) -> dict[str, str]:
@@ -144,7 +144,8 @@ def _common_timestep(times: list[np.ndarray]) -> float:
     return float(f"{np.median([np.median(np.diff(time)) for time in times]):.4g}")
 
 
-def _findings(recording: Recording, good: np.ndarray) -> dict:
+def _seams(recording: Recording, good: np.ndarray) -> list[int]:
+    """Rows of the file at which another run begins, because one was joined there or samples were lost."""
     observation = recording.observation[good]
     rows = recording.rows[good]
     if recording.seams == "auto":
@@ -152,14 +153,13 @@ def _findings(recording: Recording, good: np.ndarray) -> dict:
     else:
         seams = [int(k) for k in recording.seams]
     seams += [int(rows[k]) for k in find_time_gaps(recording.time[good])]
-    return {"seams": sorted(set(seams)), "blips": count_blips(observation),
-            "frozen_samples": count_frozen(observation)}
+    return sorted(set(seams) - set(recording.cuts))
 
 
 def _runs(recording: Recording, good: np.ndarray, seams: list[int]) -> list[np.ndarray]:
     rows = np.flatnonzero(good)
     holes = rows[1:][np.diff(rows) > 1]
-    cuts = np.searchsorted(recording.rows[rows], sorted({*seams, *recording.rows[holes].tolist()}))
+    cuts = np.searchsorted(recording.rows[rows], sorted({*seams, *recording.cuts, *recording.rows[holes].tolist()}))
     return [part for part in np.split(rows, cuts) if len(part)]
 
 
@@ -175,7 +175,3 @@ def _log(provenance: dict, units: Units) -> None:
         logger.warning("cut at seams before rows %s", provenance["seams"])
     if provenance["shorter_than_minimum"]:
         logger.warning("left out as too short: %s", ", ".join(provenance["shorter_than_minimum"]))
-    for label in ("blips", "frozen_samples"):
-        if provenance[label]:
-            logger.warning("%d %s in %d runs are kept; see the provenance", sum(provenance[label].values()),
-                           label.replace("_", " "), len(provenance[label]))

@@ -11,6 +11,8 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import PydanticCustomError
 
+from ssmr_torch.data.card_text import content_of
+
 UNKNOWN, MISSING, SAID = "extra_forbidden", "missing", "value_error"  # types of pydantic's errors
 C = TypeVar("C", bound="Card")
 
@@ -58,7 +60,7 @@ def read_card(path: str | Path, kind: type[C], page: str) -> C:
     if not path.is_file():
         raise FileNotFoundError(f"no card at {path}; write one as {page} shows")
     try:
-        content = _with_text_keys(yaml.safe_load(path.read_text(encoding="utf-8")))
+        content = _with_text_keys(content_of(path.read_text(encoding="utf-8")))
         if not isinstance(content, dict):
             raise ValueError(f"the card is {type(content).__name__}; expected keys and values")
         return kind(**content)

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ssmr_torch.data.assembly import assemble, fingerprint, refuse_wrong_clock
+from ssmr_torch.data.assembly import assemble, refuse_wrong_clock
+from ssmr_torch.data.file_units import refuse_other_units
+from ssmr_torch.data.input_lag import with_lag
+from ssmr_torch.data.named_files import digests, found_files, names_of_files
+from ssmr_torch.data.paired_files import Commands, command_files, commands_of, with_commands
 from ssmr_torch.data.recording_card import RecordingCard, read_recording_card
+from ssmr_torch.data.run_names import in_pieces, kind_and_split, with_full_names
 from ssmr_torch.data.sampling import SamplingRule
 from ssmr_torch.data.units import Plausible
 from ssmr_torch.recording_clocks.seconds import clock_of
-from ssmr_torch.recording_faults.mending import mended
+from ssmr_torch.recording_faults.copies import without_copies
+from ssmr_torch.recording_faults.mending import compared, mended
+from ssmr_torch.recording_faults.moving_decays import moving_decays
 from ssmr_torch.recording_faults.recording import Recording
 from ssmr_torch.recording_files.reading import read_tables
 from ssmr_torch.recording_files.table import Table
@@ -21,72 +29,117 @@ from ssmr_torch.trajectory import TrajectoryDataset
 
 
 def custom(card: str | Path) -> TrajectoryDataset:
-    """Runs in CSV or HDF5 files that a YAML card describes (`RecordingCard`); files are relative to the card.
+    """Runs in files of any format of `recording_files.reading` that a YAML card describes (`RecordingCard`); files
+    are relative to the card.
 
-    A run is a file, or the rows of a file with one value in the run column; its name is the stem of the file,
-    with ":value" behind it for a run column.
+    A run is a file, a run within a file, or the rows of a file with one value in the run column. Its name is the stem
+    of the file, with ":NAME" behind it where a file holds several; where two files share a stem, their path below the
+    card.
     Raises FileNotFoundError, or ValueError for a wrong card or recordings that do not fit it.
     """
     path = Path(card)
     described = read_recording_card(path)
-    files = [path.parent / name for name in described.files]
-    runs = _runs(files, described)
-    _refuse_unknown_runs(described, list(runs))
-    recordings = [_recording(name, table, described) for name, table in runs.items()]
+    files = found_files(path, [*described.files, *(pair.outputs for pair in described.pairs)])
+    runs = _runs(files, described, path.parent)
+    described = with_full_names(described, list(runs))
+    commands = commands_of(runs, described, path.parent)
+    recordings = in_pieces([_recording(name, *run, described, commands.get(name)) for name, run in runs.items()],
+                           described)
     plausible = Plausible(tuple(described.range), tuple(described.interval_range), described.largest_input)
     # Before the rest position: resting samples are found by how long they last.
     refuse_wrong_clock(recordings, described.units, plausible)
+    rules = described.rules
+    recordings = mended(moving_decays(recordings, described.columns.input, rules.moving_decays), rules,
+                        described.missing)
     rest, assumed = _rest(recordings, described)
-    recordings = mended(recordings, rest)
-    rule = SamplingRule(described.sampling, described.timestep, described.irregularity, described.missing,
+    recordings = compared(recordings, rest, rules, described.units.scale("length"), described.units.length,
+                          described.rest == "last sample of decays")
+    rule = SamplingRule(described.sampling, described.timestep, described.irregularity, "refuse",
                         described.minimum_length)
-    provenance = {"reader": "custom", "sources": fingerprint(path, *files), "assumptions": [
+    provenance = {"reader": "custom", "sources": digests(path, [*files, *command_files(described, path.parent, files)]), "assumptions": [
         f"Lengths in {described.units.length}, inputs in {described.units.input}, time in "
         f"{described.units.time}.",
-        assumed, "Each input is held until the next sample and acts after the observation of its row."]}
+        assumed, "Each input is held until the next sample and acts after the observation of its row.",
+        *_without_inputs({name: run for name, run in runs.items() if name not in commands}, described)]}
     if described.symmetry:
         provenance["symmetry"] = described.symmetry
-    return assemble(recordings, rest, described.columns.observation, described.columns.input, described.units, rule,
-                    provenance, plausible)
+    dataset = assemble(recordings, rest, described.columns.observation, described.columns.input, described.units, rule,
+                       provenance, plausible)
+    # Of two clocks the offset is said where they are joined.
+    return with_lag(without_copies(dataset, rules.copies), described.input_lag, told=not commands)
 
 
-def _runs(files: list[Path], card: RecordingCard) -> dict[str, Table]:
-    """The table of each run by its name."""
-    if len({path.stem for path in files}) < len(files):
-        raise ValueError(f"two files share a name, {[path.name for path in files]}; runs are named after "
-                         "their files")
-    runs: dict[str, Table] = {}
-    for path in files:
-        for table in read_tables(path):
+def _runs(files: list[Path], card: RecordingCard, folder: Path) -> dict[str, tuple[Table, str]]:
+    """The table of each run, and the name of its file, by the name of the run."""
+    runs: dict[str, tuple[Table, str]] = {}
+    for path, stem in names_of_files(files, folder).items():
+        for tables in _by_run(read_tables(path)):
+            table = _fitting(tables, card, path.name)
+            refuse_other_units(table, card, path.name)
             for part in _parts(table, card.columns.run, path):
-                runs[f"{path.stem}:{part.run}" if part.run else path.stem] = part
+                runs[f"{stem}:{part.run}" if part.run else stem] = part, path.name
     return runs
 
 
+def _by_run(tables: Iterable[Table]) -> list[list[Table]]:
+    groups: dict[str, list[Table]] = {}
+    for table in tables:
+        groups.setdefault(table.run, []).append(table)
+    return list(groups.values())
+
+
+def _fitting(tables: list[Table], card: RecordingCard, file: str) -> Table:
+    """Of the tables of a run, each with a clock of its own, the one that has the columns of the card."""
+    columns = card.columns
+    outputs = [*columns.observation, *columns.clock, *filter(None, (columns.run,))]
+    for wanted in ([*outputs, *columns.input], outputs):
+        fitting = [table for table in tables if all(table.find(name) for name in wanted)]
+        if len(tables) == 1 or fitting:
+            return (fitting or tables)[0]
+    most = max(tables, key=lambda table: sum(table.find(name) is not None for name in columns.observation))
+    spread = {table.part or "the first": list(table.columns)[:6] for table in tables}
+    raise ValueError(f"{file} holds {len(tables)} tables with clocks of their own, {spread}; none has all of "
+                     f"{outputs}, most has {most.part or 'the first'!r}")
+
+
 def _parts(table: Table, column: str | None, path: Path) -> list[Table]:
-    """The table, or its rows for each value of the column that numbers the runs."""
+    """The table, or its rows for each value of the column that numbers or names the runs."""
     if column is None:
         return [table]
-    run = table.numbers([column], path.name)[:, 0]
-    if not np.isfinite(run).all():
-        raise ValueError(f"{path.name}: the run column {column!r} has {int(np.isfinite(run).sum())} numbers for "
+    run = table.columns[table.find(column)] if table.find(column) else table.numbers([column], path.name)[:, 0]
+    known = np.array([value == value for value in run])
+    if not known.all():
+        raise ValueError(f"{path.name}: the run column {column!r} has {int(known.sum())} numbers for "
                          f"{len(run)} rows; expected one per row")
-    return [replace(table, run=f"{value:g}", columns={name: each[run == value] for name, each in table.columns.items()})
-            for value in dict.fromkeys(run.tolist())]
+    return [replace(table, run=f"{value:g}" if isinstance(value, int | float) else str(value),
+                    columns={name: each[run == value] for name, each in table.columns.items()},
+                    notes=() if place else table.notes)
+            for place, value in enumerate(dict.fromkeys(run.tolist()))]
 
 
-def _recording(name: str, table: Table, card: RecordingCard) -> Recording:
-    file = name.partition(":")[0]
-    clock = clock_of(table, name, file, card.columns.time, card.units.scale("time"),
-                     None if card.sampling_time is None else card.sampling_time * card.units.scale("time"))
-    observation, inputs = (table.numbers(names, file)[clock.rows] for names in
-                           (card.columns.observation, card.columns.input))
+def _recording(name: str, table: Table, file: str, card: RecordingCard, commands: Commands | None) -> Recording:
+    observation = table.numbers(card.columns.observation, file)
+    inputs = np.zeros((table.length, len(card.columns.input))) \
+        if commands is not None or _has_no_inputs(name, table, card) else table.numbers(card.columns.input, file)
+    clock = clock_of(table, name, file, card.clock_rules())
+    observation, inputs = observation[clock.rows], inputs[clock.rows]
+    if commands is not None:
+        clock, observation, inputs = with_commands(name, clock, observation, commands, card)
     return Recording(
         name, clock.time, observation * card.units.scale("length"), inputs * card.units.scale("input"),
-        "decay" if name in card.decays else "controlled",
-        next((split for split, runs in card.split.items() if name in runs), "train"), name in card.centred,
-        "auto" if card.seams == "auto" else tuple(card.seams.get(name, [])), rows=clock.rows,
-        notes=(*table.notes, *clock.notes))
+        seams="auto" if card.seams == "auto" else tuple(card.seams.get(name, [])), rows=np.sort(clock.rows),
+        notes=tuple(replace(note, run=name) for note in (*table.notes, *clock.notes)),
+        output_names=tuple(card.columns.observation), **kind_and_split(name, card))
+
+
+def _has_no_inputs(name: str, table: Table, card: RecordingCard) -> bool:
+    """Whether a run is a decay whose file has none of the inputs, such as an export of motion capture."""
+    return name in card.decays and not any(table.find(each) for each in card.columns.input)
+
+
+def _without_inputs(runs: Mapping[str, tuple[Table, str]], card: RecordingCard) -> list[str]:
+    bare = [name for name, (table, _) in runs.items() if _has_no_inputs(name, table, card)]
+    return [f"The inputs of the decays {', '.join(bare)}, which their files do not hold, are zero."] if bare else []
 
 
 def _rest(recordings: list[Recording], card: RecordingCard) -> tuple[np.ndarray, str]:
@@ -127,14 +180,3 @@ def _resting_samples(recording: Recording, still: float = 0.01, duration: float 
     calm = np.ptp(views, axis=-1).max(axis=1) <= still * np.nanmax(np.ptp(_finite(recording), axis=0))
     idle = sliding_window_view(np.abs(recording.input).sum(axis=1) == 0, window).all(axis=1)
     return y[window - 1:][calm & idle]
-
-
-def _refuse_unknown_runs(card: RecordingCard, names: list[str]) -> None:
-    named = {"decays": card.decays, "centred": card.centred,
-             **{f"split.{split}": runs for split, runs in card.split.items()},
-             "seams": list(card.seams) if isinstance(card.seams, dict) else []}
-    for key, runs in named.items():
-        unknown = [run for run in runs if run not in names]
-        if unknown:
-            raise ValueError(f"{key} names the runs {runs}, of which {unknown} do not exist; "
-                             f"the runs are {names[:10]}{'…' if len(names) > 10 else ''}")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ssmr_torch.data.shared_samples import equal_pairs, is_copied, shared_rows
+from ssmr_torch.recording_faults.copies import copy_said, equal_pairs, is_copied, shared_rows
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 STILL = 1e-9        # of the largest range, below which a marker does not move
@@ -94,6 +94,4 @@ def _refuse_copies(runs: Sequence[Trajectory], training: Sequence[Trajectory]) -
             continue
         rows, name = shared_rows(run, training)
         if is_copied(run, rows):
-            raise ValueError(f"{rows} of the {run.length} samples of the {run.split} run {run.name!r} are those of the "
-                             f"training run {name!r}, so its score would tell nothing; record another run, or leave "
-                             "these samples out of the training")
+            raise ValueError(copy_said(run, rows, name))

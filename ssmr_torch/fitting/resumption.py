@@ -11,7 +11,7 @@ import numpy as np
 
 from ssmr_torch import __version__
 from ssmr_torch.interruption import END
-from ssmr_torch.result_files import save_json
+from ssmr_torch.result_files import read_json, save_json
 from ssmr_torch.run import STRETCH
 from ssmr_torch.trajectory import TrajectoryDataset
 
@@ -75,7 +75,7 @@ def go_on(folder: Path, steps: Sequence[str], now: Mapping) -> None:
 
 def _stored(path: Path) -> dict:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = read_json(path)
         if isinstance(found, dict) and {"version", "data", "runs", "sources", "configuration"} <= found.keys():
             return found
     except (OSError, ValueError):

@@ -18,7 +18,7 @@ from ssmr_torch.data.run_boundaries import check_seams, find_seams
 from ssmr_torch.data.sampling import IRREGULAR, SamplingRule
 from ssmr_torch.data.units import Units
 from ssmr_torch.recording_faults.recording import Recording
-from ssmr_torch.recording_files.column_files import pick, read_columns
+from ssmr_torch.recording_files.reading import read_tables
 from ssmr_torch.trajectory import TrajectoryDataset
 
 __all__ = ["real_diamond", "authors_simulated_diamond", "real_trunk", "authors_simulated_trunk"]
@@ -250,8 +250,8 @@ def _set_points(run: Recording) -> list[Recording]:
 
 
 def _trunk_decays(path: Path, timestep: float, label: str) -> list[Recording]:
-    columns = read_columns(path)
-    positions, numbers = pick(columns, TRUNK_COLUMNS, path), pick(columns, ["ID"], path)[:, 0]
+    (table,) = read_tables(path)
+    positions, numbers = table.numbers(TRUNK_COLUMNS, path.name), table.numbers(["ID"], path.name)[:, 0]
     decays = []
     for number in np.unique(numbers):
         y = positions[numbers == number]
@@ -275,8 +275,7 @@ def _trunk_controlled(folder: Path, run: str, split: str, timestep: float) -> tu
     paths = [folder / f"observations_{run}.csv", folder / f"control_inputs_{run}.csv"]
     if run == "beta_controlled":
         paths[0] = folder / "observations_beta_controlled_200g.csv"
-    y = pick(read_columns(paths[0]), TRUNK_COLUMNS, paths[0])
-    u = pick(read_columns(paths[1]), _inputs(6), paths[1])
+    y, u = (read_tables(path)[0].numbers(names, path.name) for path, names in zip(paths, (TRUNK_COLUMNS, _inputs(6))))
     if len(y) != len(u) + 1:
         raise ValueError(f"{paths[0].name} has {len(y)} rows and {paths[1].name} {len(u)}; expected one "
                          "observation more than inputs")

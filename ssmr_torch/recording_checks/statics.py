@@ -6,7 +6,7 @@ import numpy as np
 
 from ssmr_torch.recording_checks.context import Recorded
 from ssmr_torch.recording_checks.finding import GOOD, LOOK, UNTOLD, Finding, millimetres
-from ssmr_torch.recording_checks.response import response
+from ssmr_torch.recording_estimates.response import response
 from ssmr_torch.trajectory import Trajectory
 
 CERTAIN = 4.0       # standard errors

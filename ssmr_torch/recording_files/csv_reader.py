@@ -1,158 +1,159 @@
-"""Named columns of numbers from the CSV files of measurement systems, whatever their encoding and separators."""
+"""Tables from delimited text in any dialect: the CSV files of measurement systems, spreadsheets and ROS."""
 
 from __future__ import annotations
 
-import csv
 import logging
 import re
+from collections import Counter
 from dataclasses import dataclass
-from io import BytesIO, StringIO
 from pathlib import Path
 
-import numpy as np
+from ssmr_torch.recording_files.cells import is_number, number
+from ssmr_torch.recording_files.table import Table
+from ssmr_torch.recording_files.text_columns import BLANK, Lines, columns_of, split_row
+from ssmr_torch.recording_files.text_file import text_of
+from ssmr_torch.recording_files.units_said import says_units, unit_called, units_in_names
 
 logger = logging.getLogger(__name__)
 
-DELIMITERS = (";", "\t", ",")  # the comma last: it may be the decimal sign
-COMMENT = re.compile(r"\s*(?:%|sep=|#(?!N/A|DIV/0!|VALUE!|REF!|NUM!|NAME\?|NULL!))")  # "sep=;" and cells of Excel
-ABSENT = ("nan", "Nan", "NAN", "NaN", "na", "Na", "NA", "null", "Null", "NULL")  # as good as an empty cell
+DELIMITERS = (";", "\t", "|", ",", BLANK)  # the comma late: it may be the decimal sign
+# "sep=;" of Excel, and lines that begin with #, % or //, but for cells of Excel such as #N/A
+COMMENT = re.compile(r'\s*"?\s*(?:%|//|sep=|#(?!N/A|DIV/0!|VALUE!|REF!|NUM!|NAME\?|NULL!))', re.IGNORECASE)
+SAMPLE = 40          # first rows by which delimiters and the header are found
 QUOTED = re.compile(r'"\s*[+-]?\d+,\d')  # a number with a decimal comma, between commas
-DECIMALS = " (commas are decimal signs only where no cell has a decimal point)"
-BEYOND = "\0beyond"            # the column of cells that no name stands above
+TWICE = "{} ({})"    # name of a column whose name stands twice
 
 
-def read_csv(path: Path) -> dict[str, np.ndarray]:
-    """Columns by name, (T,) each, from a text file with one row of names; empty cells become NaN.
+def read(path: Path) -> list[Table]:
+    """The table of a text file with a row of names.
 
-    Commas, semicolons or tabs; decimal commas in files without them as delimiters; quoted cells; UTF-8, UTF-16 or
-    Windows-1252, with or without a byte order mark; lines of comments (#, %) and empty lines anywhere; the last comment
-    as the row of names where numbers follow at once; and a row of units under the names, which is logged and left out.
-    Numbers are those that `float` would give, to the last bit. Rows are counted from 0, without what is left out.
-    Raises ValueError for a file that is no text, has no names or no rows, names a column twice, or has a row of
-    another length or a cell that is no number, saying where.
+    Commas, semicolons, tabs, bars or blanks between cells; decimal points, or commas where no cell has a point; quoted
+    cells; UTF-8, UTF-16, UTF-32 or Windows-1252; lines of comments (#, %, //), `sep=`, empty lines, repeated headers
+    and footers anywhere; lines above the names; the last comment as the row of names where numbers follow at once; a
+    row of units under the names, or units in the names, `x [mm]`. Numbers are those that `float` would give, to the
+    last bit. Rows are counted from 0, without what is left out.
+    Raises ValueError for a file that is no text, has no names or no rows, or a row of another length, saying where.
     """
     sheet = _sheet(path)
-    if not sheet.names or any(_is_number(name) for name in sheet.names):
-        raise ValueError(f"{path.name}: the first row is {sheet.header[:60]!r}; expected the names of the columns")
-    if len(set(sheet.names)) < len(sheet.names):
-        raise ValueError(f"{path.name}: the header names a column twice, {sheet.names}; give each its own name")
-    if not sheet.body.strip():
-        raise ValueError(f"{path.name} has a header but no rows; expected one row per sample")
-    frame = _parsed(sheet, path)
-    return {name: _numbers(frame[name], name, sheet, path) for name in sheet.names if name or frame[name].notna().any()}
+    columns, notes = columns_of(sheet.lines, path.name)
+    return [Table(columns, units={**units_in_names(columns), **sheet.units}, notes=tuple(notes))]
 
 
 @dataclass(frozen=True)
 class _Sheet:
-    """The row of names, the names, the text of the rows below them, and what separates cells and decimals."""
-
-    header: str
-    names: list[str]
-    body: str
-    delimiter: str
-    decimal: str
+    lines: Lines
+    units: dict[str, str]
 
 
 def _sheet(path: Path) -> _Sheet:
-    lines = [line for line in _text(path).splitlines() if line.strip()]
+    text = text_of(path)
+    every = text.splitlines()
+    lines = [line for line in every if line.strip()]
     rows = [line for line in lines if not COMMENT.match(line)]
-    comments = next((place for place, line in enumerate(lines) if line in rows[:1]), 0)
     delimiter = _delimiter(rows)
-    if comments and rows and all(_is_number(cell) for cell in _cells(rows[0], delimiter)):
-        named = lines[comments - 1].lstrip(" #%")
-        if len(_cells(named, delimiter)) == len(_cells(rows[0], delimiter)):
-            rows.insert(0, named)
-    header = rows[0] if rows else ""
-    if len(rows) > 1 and _is_row_of_units(_cells(rows[1], delimiter)):
-        logger.info("%s: the row below the names, %r, is taken for units and left out; the card's units count",
-                    path.name, rows.pop(1))
-    body = "\n".join(rows[1:])
-    decimal = _decimal(body, delimiter)
+    decimal = _decimal(rows[1:], delimiter)
+    rows = _with_names_of_comments(lines, rows, delimiter, decimal)
+    top, names, said, start = _header(rows, delimiter, decimal, path.name)
+    if top:
+        logger.info("%s: %d lines above the names are left out: %r, …", path.name, top, rows[0][:60])
     if decimal == ",":
         logger.info("%s: commas are read as decimal signs", path.name)
-    return _Sheet(header, [name.strip() for name in _cells(header, delimiter)], body, delimiter, decimal)
+    if said:
+        logger.info("%s: the row below the names, %r, is taken for units and left out", path.name, rows[start - 1])
+    names = _each_once(names)
+    units = {name: unit for name, cell in zip(names, said) if (unit := unit_called(cell))}
+    open_end = bool(text) and text[-1] not in "\r\n" and len(every) > 2
+    lines = Lines(names, rows[start:], delimiter, decimal, open_end, rows[top:start])
+    return _Sheet(lines, units)
 
 
-def _text(path: Path) -> str:
-    data = path.read_bytes()
-    encodings = ("utf-16",) if data[:2] in (b"\xff\xfe", b"\xfe\xff") else ("utf-8-sig", "cp1252")
-    if not data[:2].startswith((b"\xff", b"\xfe")) and b"\0" in data[:4]:
-        encodings = ("utf-16-le" if data[1:2] == b"\0" else "utf-16-be",)
-    for encoding in encodings:
-        try:
-            text = data.decode(encoding)
-        except UnicodeDecodeError as error:
-            reason = error.reason
-            continue
-        if "\0" not in text:
-            return text
-        reason = "it holds zero bytes"
-    raise ValueError(f"{path.name} is not a text file ({reason}); expected CSV")
+def _with_names_of_comments(lines: list[str], rows: list[str], delimiter: str, decimal: str) -> list[str]:
+    """The rows, with the comment before the first of them as the names where it has as many cells, none a number."""
+    place = next((k for k, line in enumerate(lines) if rows and line is rows[0]), 0)
+    if not place or not any(is_number(cell, decimal) for cell in split_row(rows[0], delimiter)):
+        return rows
+    named = lines[place - 1].lstrip(' #%/"' if lines[place - 1].lstrip()[:1] == '"' else " #%/")
+    cells = split_row(named, delimiter)
+    if len(cells) != len(split_row(rows[0], delimiter)) or any(is_number(cell, decimal) for cell in cells):
+        return rows
+    return [named, *rows]
+
+
+def _header(rows: list[str], delimiter: str, decimal: str, file: str) -> tuple[int, list[str], list[str], int]:
+    """Lines above the names, the names, the cells of the row of units (none: []), and the first row of samples."""
+    cells = [split_row(row, delimiter) for row in rows[:SAMPLE]]
+    counted = [any(is_number(cell, decimal) for cell in row) for row in cells]
+    width = _width([row for row, has in zip(cells, counted) if has])
+    first = next((k for k in range(len(cells)) if counted[k] and all(counted[k:k + 3]) and len(cells[k]) == width),
+                 next((k for k in range(1, len(cells)) if counted[k]), min(len(cells), 1)))
+    last = next((k for k in reversed(range(first)) if not counted[k] and len(cells[k]) > 1), None)
+    if last is None and first and not counted[0]:
+        last = 0
+    if last is None or not any(cell.strip() for cell in cells[last]):
+        said = rows[0][:60] if rows else ""
+        raise ValueError(f"{file}: the first row is {said!r}; expected the names of the columns")
+    top = last
+    while top and not counted[top - 1] and len(cells[top - 1]) >= len(cells[last]) > 1:
+        top -= 1
+    block = cells[top:last + 1]
+    if first == len(cells) or (last + 1 == first == len(cells)):
+        first = last + 1
+    units = next((row for row in block[1:] if says_units(row)), block[1] if len(block) == 2 else [])
+    names = [row for row in block if row is not units]
+    joined = [name.strip() for name in names[0]] if len(names) == 1 else _joined(names)
+    return top, joined, units, last + 1
+
+
+def _joined(rows: list[list[str]]) -> list[str]:
+    """Names of several rows: "tip_X" of "tip" above "X"; a blank cell repeats the one to its left."""
+    if len(set(rows[0])) == len(rows[0]) and all(cell.strip() for cell in rows[0]):
+        return [cell.strip() for cell in rows[0]]
+    above, parts = "", []
+    for place, below in enumerate(rows[1]):
+        above = rows[0][place].strip() or above if place < len(rows[0]) else above
+        parts.append("_".join(filter(None, (above, below.strip()))))
+    return parts
+
+
+def _each_once(names: list[str]) -> list[str]:
+    """The names; those that stand twice get their number, so that neither is taken for the other."""
+    counts, seen = Counter(filter(None, names)), Counter()
+    once = []
+    for name in names:
+        seen[name] += 1
+        once.append(TWICE.format(name, seen[name]) if counts[name] > 1 else name)
+    return once
+
+
+def _width(rows: list[list[str]]) -> int:
+    counts = Counter(map(len, rows))
+    return max(counts, key=lambda width: (counts[width], width)) if counts else 0
 
 
 def _delimiter(rows: list[str]) -> str:
-    """The one that cuts the names and the row below them into equally many cells, else the most frequent."""
-    header = rows[0] if rows else ""
+    """The one that cuts most rows into equally many cells, and most of these cells into numbers."""
+    sample = [*rows[:SAMPLE], *rows[max(SAMPLE, len(rows) - 10):]]
+    best, found = (0.0, 0.0), None
     for delimiter in DELIMITERS:
-        if len({len(_cells(row, delimiter)) for row in rows[:2]}) == 1 < len(_cells(header, delimiter)):
-            return delimiter
-    return max(reversed(DELIMITERS), key=header.count)
+        cut = [split_row(row, delimiter) for row in sample]
+        cut = [row for row in cut if any(is_number(cell, ",") or is_number(cell) for cell in row)]
+        width = _width(cut)
+        if width < 2:
+            continue
+        same = [cell for row in cut if len(row) == width for cell in row]
+        known = sum(number(cell) is not None or number(cell, ",") is not None for cell in same)
+        score = (len(same) / width / len(cut), known / len(same))
+        if score > best:
+            best, found = score, delimiter
+    header = rows[0] if rows else ""
+    return found or max(reversed(DELIMITERS[:-1]), key=header.count)
 
 
-def _decimal(body: str, delimiter: str) -> str:
-    commas = QUOTED.search(body) if delimiter == "," else "," in body
-    return "," if commas and "." not in body else "."
-
-
-def _cells(row: str, delimiter: str) -> list[str]:
-    return next(csv.reader([row], delimiter=delimiter), [])
-
-
-def _is_number(cell: str, decimal: str = ",") -> bool:
-    try:
-        float(cell.replace(decimal, "."))
-    except ValueError:
-        return False
-    return "_" not in cell  # Python's own 1_000
-
-
-def _is_row_of_units(cells: list[str]) -> bool:
-    said = [cell for cell in cells if cell.strip()]
-    return bool(said) and not any(_is_number(cell) or cell.strip() in ABSENT for cell in said)
-
-
-def _parsed(sheet: _Sheet, path: Path):
-    """A frame of all cells; its columns hold numbers, or text where one cell at least is none."""
-    import pandas
-
-    names = [*sheet.names, BEYOND]
-    try:
-        frame = pandas.read_csv(BytesIO(sheet.body.encode()), sep=sheet.delimiter, decimal=sheet.decimal, header=None,
-                                names=names, index_col=False, na_values=list(ABSENT), skipinitialspace=True,
-                                low_memory=False)
-    except pandas.errors.ParserError as error:
-        _refuse_ragged(sheet, path)
-        raise ValueError(f"{path.name} cannot be read ({error}); look for quotation marks without a partner") from error
-    # Missing cells are empty ones to pandas, and only those at the end can be missing.
-    if frame[BEYOND].notna().any() or frame[sheet.names[-1]].isna().any():
-        _refuse_ragged(sheet, path)
-    return frame
-
-
-def _refuse_ragged(sheet: _Sheet, path: Path) -> None:
-    for number, row in enumerate(csv.reader(StringIO(sheet.body), delimiter=sheet.delimiter)):
-        beyond = row[len(sheet.names):]
-        if len(row) < len(sheet.names) or len(beyond) > 1 or any(cell.strip() for cell in beyond):
-            raise ValueError(f"{path.name}: row {number} (from 0) has {len(row)} cells, the header "
-                             f"{len(sheet.names)}")
-
-
-def _numbers(column, name: str, sheet: _Sheet, path: Path) -> np.ndarray:
-    if column.dtype.kind in "iuf":
-        return column.to_numpy(dtype=np.float64)
-    for number, cell in enumerate(column):
-        if not _is_number(str(cell), sheet.decimal):
-            hint = DECIMALS if _is_number(str(cell)) else ""
-            raise ValueError(f"{path.name}: row {number} (from 0), column {name!r} holds {str(cell)!r}; expected a "
-                             f"number{hint}")
-    return np.array([float(str(cell).replace(sheet.decimal, ".")) for cell in column])
+def _decimal(rows: list[str], delimiter: str) -> str:
+    body = "\n".join(rows)
+    if not (QUOTED.search(body) if delimiter == "," else "," in body):
+        return "."
+    between = r'[\s"]' if delimiter in ("\t", BLANK) else rf'[{delimiter}\n"]'
+    points, commas = (re.search(rf"(?:^|{between}) *[+-]?\d*[{sign}]\d+(?:[eE][+-]?\d+)? *(?:$|{between})", body)
+                      for sign in ".,")
+    return "," if commas and not points else "."

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from hydra.experimental.callback import Callback
 
-from ssmr_torch.result_files import save_csv
+from ssmr_torch.result_files import read_json, save_csv
 
 NAMED = 3  # failed jobs in a message
 
@@ -58,7 +57,7 @@ class MultirunTable(Callback):
 def results(directory: Path) -> list[dict]:
     """Every job's result.json, with the number of the job."""
     files = sorted(directory.glob("*/result.json"))
-    return [{"job": file.parent.name} | json.loads(file.read_text()) for file in files]
+    return [{"job": file.parent.name} | read_json(file) for file in files]
 
 
 def written(directory: Path) -> dict[Path, int]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ssmr_torch.data.refusals import check_learnable
-from ssmr_torch.data.shared_samples import shared_rows
+from ssmr_torch.recording_faults.copies import shared_rows
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 

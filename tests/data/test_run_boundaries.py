@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from ssmr_torch.data.matlab_reader import read_koopman_struct
-from ssmr_torch.data.run_boundaries import check_seams, count_blips, count_frozen, find_seams, find_time_gaps
-from ssmr_torch.recording_files.column_files import pick, read_columns
+from ssmr_torch.data.run_boundaries import check_seams, count_blips, count_frozen, find_seams
+from ssmr_torch.recording_clocks.gaps import find_time_gaps
+from ssmr_torch.recording_files.reading import read_tables
 
 DATA = Path(os.environ.get("SSMR_TORCH_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA}")
@@ -101,12 +102,12 @@ def test_the_seams_of_the_measured_matlab_files_are_the_known_ones(file, seams):
 @pytest.mark.parametrize("run", ["controlled_1", "controlled_2", "beta_controlled_200g"])
 def test_the_measured_trunk_runs_have_no_seam(run):
     path = DATA / "trunk_hardware" / f"observations_{run}.csv"
-    assert not len(find_seams(pick(read_columns(path), MARKERS, path)))
+    assert not len(find_seams(read_tables(path)[0].numbers(MARKERS, path.name)))
 
 
 @needs_data
 def test_glued_decays_of_the_trunk_are_cut_only_between_decays():
     path = DATA / "trunk_hardware" / "observations_manual_decay_200g.csv"
-    columns = read_columns(path)
-    between = (np.flatnonzero(np.diff(columns["ID"])) + 1).tolist()
-    assert find_seams(pick(columns, MARKERS, path)).tolist() == between
+    table = read_tables(path)[0]
+    between = (np.flatnonzero(np.diff(table.numbers(["ID"], path.name)[:, 0])) + 1).tolist()
+    assert find_seams(table.numbers(MARKERS, path.name)).tolist() == between

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.recording_checks.modes import Modes
+from ssmr_torch.recording_estimates.modes import Modes
 from ssmr_torch.trajectory import Trajectory
 
 SAMPLES_A_PERIOD = 12   # samples per period that are kept of each run
@@ -62,6 +62,11 @@ def response(runs: Sequence[Trajectory], modes: Modes, more, delay: int = 0, whe
     found = _solved(parts, np.concatenate(targets), edges)
     gain = found.coefficients["inputs"][static].sum(axis=0) / unit[:, None]
     return found._replace(gain=gain)
+
+
+def filtered(u: np.ndarray, rates: np.ndarray, timestep: float) -> np.ndarray:
+    """(T, columns): each input (T, m) filtered by x' = λ (x - u) for each rate λ, 1/s; Re and Im."""
+    return _seen(u, rates, timestep, False, 0)[0]
 
 
 def _pairs(inputs: int) -> int:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ssmr_torch.trajectory import Trajectory
+from ssmr_torch.recording_files.note import Note
+from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
+
+logger = logging.getLogger(__name__)
 
 LENGTH = 16         # number of consecutive samples that must agree
 FINENESS = 1e-7     # numbers that differ by less than this share of the range count as equal
@@ -49,6 +54,40 @@ def equal_pairs(runs: Sequence[Trajectory]) -> list[tuple[str, str]]:
             found.append((known[key], run.name))
         known.setdefault(key, run.name)
     return found
+
+
+def without_copies(dataset: TrajectoryDataset, rule: str) -> TrajectoryDataset:
+    """The dataset, with a note in its provenance on copies among its training runs.
+
+    Raises ValueError, unless the rule is "keep", for a test or validation run that is part of a training run.
+    """
+    runs = [run.read() for run in dataset]
+    training = [run for run in runs if run.split == "train" and run.kind != "static"]
+    notes = []
+    for run in runs:
+        if run.split == "train" or run.kind == "static":
+            continue
+        rows, name = shared_rows(run, training)
+        if is_copied(run, rows):
+            text = copy_said(run, rows, name)
+            if rule != "keep":
+                raise ValueError(text)
+            notes.append(Note(run.name, "copies", f"{rows} of its samples are those of {name}; kept, as faults.copies "
+                              "says", "kept"))
+    notes += [Note(second, "copies", f"it has the same contents as {first}, so that run counts twice; leave one out",
+                   "kept") for first, second in equal_pairs(training)]
+    for note in notes:
+        logger.warning("%s", note)
+    if not notes:
+        return dataset
+    known = dataset.provenance.get("notes", [])
+    return replace(dataset, provenance=dataset.provenance | {"notes": [*known, *(note.as_dict() for note in notes)]})
+
+
+def copy_said(run: Trajectory, rows: int, name: str) -> str:
+    """The refusal of a run that shares so many rows with the training run of this name."""
+    return (f"{rows} of the {run.length} samples of the {run.split} run {run.name!r} are those of the training run "
+            f"{name!r}, so its score would tell nothing; record another run, or leave these samples out of the training")
 
 
 def _marks(table: np.ndarray, outputs: int) -> np.ndarray:

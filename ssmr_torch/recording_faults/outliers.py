@@ -1,0 +1,120 @@
+"""Outliers: rows that leave the motion and return to it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ssmr_torch.recording_faults.continuity import FEWEST, gaps, limits, pieces
+from ssmr_torch.recording_faults.recording import Recording
+from ssmr_torch.recording_faults.treatment import BRIDGED, treated
+
+ALIKE = 0.2         # share by which the jumps into and out of a long stretch may differ
+LONGEST = 0.25      # of the rows of a run that such a stretch may have
+AWAY = 0.3          # of the deviation, that the gap across a stretch may have
+NEAR = 6            # rows between two jumps of one stretch of disorder
+DISORDER = 4        # jumps that make one
+
+
+def outliers(recording: Recording, rule: str, reach: float) -> Recording:
+    """The recording with rows bridged or cut that leave the motion and return to it.
+
+    Three kinds are found, from the jumps of `continuity.gaps`: up to five rows across which the motion before and after
+    meets; longer stretches with equal jumps at both ends; and disorder, many jumps close together. A single jump
+    without return is no outlier but may be a seam.
+    """
+    bad = np.zeros(recording.observation.shape, dtype=bool)
+    for piece in pieces(recording):
+        bad[piece] = _left(recording.time[piece], recording.observation[piece], reach)
+    if not bad.any():
+        return recording
+    farthest = _farthest(recording, bad)
+    return treated(recording, bad, "outliers", rule,
+                   f"the position leaves the motion around it by up to {1e3 * farthest:.3g} mm")
+
+
+def _left(time: np.ndarray, y: np.ndarray, reach: float) -> np.ndarray:
+    """(T, p), which values left the motion."""
+    found = gaps(time, y)
+    limit = limits(y, found, reach)
+    jumps = np.flatnonzero((np.abs(found) > limit).any(axis=1))
+    bad = _ends(time, y, limit)
+    place = 0
+    while place < len(jumps):
+        first = jumps[place]
+        stop = _return(time, y, found, limit, first, jumps[place + 1:])
+        if stop is not None:
+            columns = (np.abs(found[[first, stop]]) > limit[[first, stop]]).any(axis=0)
+            bad[first:stop] |= columns
+            place = int(np.searchsorted(jumps, stop, side="right"))
+            continue
+        place += 1
+    return bad
+
+
+def _return(time, y, found, limit, first: int, later: np.ndarray) -> int | None:
+    """The row at which the motion goes on that it left at `first`, or None."""
+    for stop in later[later <= first + BRIDGED]:
+        columns = (np.abs(found[[first, stop]]) > limit[[first, stop]]).any(axis=0)
+        across, away = _across(time, y, first, stop, columns)
+        if across <= max(AWAY * away, np.linalg.norm(limit[first, columns])) and away > across:
+            return int(stop)
+    close = first
+    for count, jump in enumerate(later, start=2):
+        if jump - close > NEAR:
+            break
+        close = jump
+        if count >= DISORDER and (count == len(later) + 1 or later[count - 1] - jump > NEAR):
+            return int(close)
+    columns = np.abs(found[first]) > limit[first]
+    for stop in later[later <= first + LONGEST * len(y)]:
+        apart = np.linalg.norm(found[first] + found[stop])
+        if apart <= ALIKE * np.linalg.norm(found[first, columns]) and stop > first + BRIDGED:
+            return int(stop)
+    return None
+
+
+def _across(time, y, first: int, stop: int, columns: np.ndarray) -> tuple[float, float]:
+    """How far the motion before `first` and after `stop` miss each other, and how far the rows between are from it."""
+    rows = np.r_[first - 2, first - 1, stop, stop + 1]
+    if rows[0] < 0 or rows[-1] >= len(y):
+        return np.inf, 0.0
+    (ta, tb, tc, td), (a, b, c, d) = time[rows], y[rows][:, columns]
+    left, right = (b - a) / (tb - ta), (d - c) / (td - tc)
+    miss = c - b - (tc - tb) * (left + right) / 2
+    share = (time[first:stop] - tb) / (tc - tb)
+    line = b + share[:, None] * (c - b)
+    away = np.linalg.norm(y[first:stop][:, columns] - line, axis=1)
+    return float(np.linalg.norm(miss)), float(away.min())
+
+
+def _ends(time: np.ndarray, y: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """(T, p), outliers among the first and last two rows, where only one side is known: they must be farther than any
+    ordinary step.
+    """
+    bad = np.zeros(y.shape, dtype=bool)
+    if len(y) < 2 * FEWEST:
+        return bad
+    largest = np.quantile(np.abs(np.diff(y, axis=0)), 0.98, axis=0)
+    for reverse in (False, True):
+        t, z = (time[::-1], y[::-1]) if reverse else (time, y)
+        for row in (1, 0):
+            ahead = np.arange(row + 1, row + 4)
+            slope = (z[ahead[0]] - z[ahead[2]]) / (t[ahead[0]] - t[ahead[2]])
+            miss = np.abs(z[row] - z[ahead[0]] - slope * (t[row] - t[ahead[0]]))
+            off = miss > np.maximum(4 * largest, 2 * limit[3 if not reverse else -4])
+            if off.any():
+                bad[len(y) - 1 - row if reverse else row] = off
+                if row == 1:
+                    bad[len(y) - 1 if reverse else 0] = off
+                break
+    return bad
+
+
+def _farthest(recording: Recording, bad: np.ndarray) -> float:
+    """m, the largest distance of a bad value from the nearest good one of its column."""
+    worst = 0.0
+    for column in np.flatnonzero(bad.any(axis=0)):
+        good, off = np.flatnonzero(~bad[:, column]), np.flatnonzero(bad[:, column])
+        near = good[np.clip(np.searchsorted(good, off), 0, len(good) - 1)] if len(good) else off
+        worst = max(worst, float(np.abs(recording.observation[off, column] - recording.observation[near, column]).max()))
+    return worst
