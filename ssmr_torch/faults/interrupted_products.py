@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import json
 import re
 from collections.abc import Callable
 from pathlib import Path
 
-import h5py
-
+from ssmr_torch.closed_loop.record import ARRAYS, ClosedLoopRecord
 from ssmr_torch.fitting.checkpoints import load_model
+from ssmr_torch.result_files import read_json
 from ssmr_torch.search.multirun_table import results
 from ssmr_torch.trajectory import TrajectoryDataset
 
@@ -28,8 +27,8 @@ def without_times(value):
     return [without_times(each) for each in value] if isinstance(value, list) else value
 
 
-def read_json(path: Path):
-    return without_times(json.loads(path.read_text(encoding="utf-8")))
+def values_in(path: Path):
+    return without_times(read_json(path))
 
 
 def digest(path: Path) -> str:
@@ -45,9 +44,9 @@ def of_collect(directory: Path):
 
 def of_train(directory: Path):
     model, card = load_model(directory / "model.ckpt")
-    report = read_json(directory / "report.json")
+    report = values_in(directory / "report.json")
     return {name: value.numpy().tobytes() for name, value in model.state_dict().items()}, card["scores"], report, \
-        read_json(directory / "result.json")
+        values_in(directory / "result.json")
 
 
 def of_search(directory: Path):
@@ -61,21 +60,21 @@ def of_search(directory: Path):
 def of_artifact(directory: Path):
     found = {path.name: digest(path) for path in sorted(directory.glob("artifact/*.safetensors"))}
     controller = directory / "artifact" / "controller.json"
-    return found, read_json(controller) if controller.is_file() else None, sorted(
+    return found, values_in(controller) if controller.is_file() else None, sorted(
         path.relative_to(directory).as_posix() for path in directory.glob("artifact/**/*"))
 
 
 def of_evaluate(directory: Path):
-    return read_json(directory / "scores.json")
+    return values_in(directory / "scores.json")
 
 
 def of_compare(directory: Path):
-    return read_json(directory / "comparison.json")
+    return values_in(directory / "comparison.json")
 
 
 def of_control(directory: Path):
-    with h5py.File(directory / "record.h5") as file:
-        return {name: file[name][()].tobytes() for name in file if name not in ("solve_time", "statuses")}
+    record = ClosedLoopRecord.load(directory / "record.h5")
+    return [getattr(record, name).tobytes() for name in ARRAYS if name != "solve_time"], record.statuses
 
 
 def of_report(directory: Path):
@@ -106,9 +105,9 @@ def unreadable(directory: Path, *, leftovers: bool = False) -> str:
 
 def _read(path: Path) -> None:
     if path.suffix == ".json":
-        json.loads(path.read_text(encoding="utf-8"))
+        read_json(path)
     elif path.suffix == ".h5":
-        h5py.File(path).close()
+        (ClosedLoopRecord if path.name == "record.h5" else TrajectoryDataset).load(path)
     elif path.suffix == ".ckpt":
         load_model(path)
     elif path.suffix == ".svg" and not path.read_text(encoding="utf-8").rstrip().endswith("</svg>"):
