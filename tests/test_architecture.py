@@ -47,9 +47,11 @@ HOMES = {
     "omegaconf": ["configuration.py", "entry_point.py", "found_settings.py", "option_tables.py", "search/best_row.py"],
     "optuna": ["search/space.py", "search/trials.py"],
     "h5py": ["trajectory.py", "closed_loop/record.py", "commissioning/directory.py", "data/*", "recording_files/*",
+             "faults/container_trials.py",
              "collection/resumption.py", "paper/report_sections.py", "paper/workspace_errors.py"],
-    "yaml": ["data/card_file.py", "data/card_text.py", "documents/stray_numbers.py"],
-    "pandas": ["recording_files/*"], "c3d": ["recording_files/c3d_reader.py"],
+    "yaml": ["data/card_file.py", "data/card_text.py", "documents/stray_numbers.py", "faults/made_recordings.py",
+             "faults/card_trials.py"],
+    "pandas": ["recording_files/*", "faults/container_trials.py"], "c3d": ["recording_files/c3d_reader.py"],
     "rosbags": ["recording_files/rosbag_reader.py"],
     "pydantic": ["data/card_file.py", "data/recording_card.py", "data/units.py", "commissioning/robot_card.py"],
     "pydantic_core": ["data/card_file.py"],
@@ -71,11 +73,12 @@ NEVER = {
     "deployment": ["plants", "data", "fitting", "evaluation"],
     "data": ["models", "plants", "collection", "control", "fitting", "evaluation", "closed_loop"],
 }
-# The two that put everything together: the command starts the experiments, the runner serves an artifact's controller.
-EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "control"]}
+# The command starts the experiments, the runner serves an artifact's controller, faults use what benchmarks steer with.
+EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "control"],
+          "faults/garbage_control.py": ["benchmarks"], "faults/hostile_frames.py": ["benchmarks"]}
 # Who touches files; all else takes and returns arrays.
 TOUCHES_FILES = [
-    "trajectory.py", "benchmarks/*", "deployment/artifact.py", "deployment/checkpoint_copy.py", "closed_loop/record.py",
+    "trajectory.py", "benchmarks/*", "faults/*", "deployment/artifact.py", "deployment/checkpoint_copy.py", "closed_loop/record.py",
     "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py", "command.py",
     "commissioning/directory.py",
     "controller_design/report.py", "defaults_of_signatures.py", "data/*", "documents/*", "search/*",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 from multiprocessing.connection import Connection
+from time import sleep as wait
 from typing import Any
 
 from ssmr_torch.lazy import found
@@ -16,6 +17,11 @@ class TookTooLong(Exception):
 
 class ProcessEnded(Exception):
     """The process of the call is gone, such as after a crash of compiled code or for want of memory."""
+
+
+def sleep(seconds: float) -> None:
+    """Does nothing for so long; with it the time limit is tried."""
+    wait(seconds)
 
 
 def _serve(pipe: Connection) -> None:

@@ -28,7 +28,7 @@ SHAPES = (np.array([[1.0, 0.2, 0.3, -0.1], [-0.2, 0.9, 0.1, 0.6], [0.25, -0.3, 0
 class Robot:
     """ẋ = A x + B u, y = C x + rest: damped oscillations that the inputs drive.
 
-    modes: pairs of states; decays from 1.5 1/s on, frequencies from 12.5 rad/s on. markers: with three coordinates each.
+    modes: pairs of states; decays from 1.5 1/s on, frequencies from 12.5 rad/s on. markers: three coordinates each.
     """
 
     modes: int = 2
