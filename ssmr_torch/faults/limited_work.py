@@ -10,6 +10,13 @@ from typing import Any
 
 from ssmr_torch.lazy import found
 
+try:
+    import resource
+except ImportError:  # Windows has no limits of this kind
+    resource = None
+
+MEMORY = 6 << 30  # bytes of a call
+
 
 class TookTooLong(Exception):
     """The call was ended at its time limit."""
@@ -25,6 +32,7 @@ def sleep(seconds: float) -> None:
 
 
 def _serve(pipe: Connection) -> None:
+    _limit_memory()
     while True:
         target, arguments = pipe.recv()
         if target is None:
@@ -33,6 +41,14 @@ def _serve(pipe: Connection) -> None:
             pipe.send((True, found(target)(**arguments)))
         except Exception as error:  # whatever it is: the caller judges
             pipe.send((False, f"{type(error).__name__}: {error}"))
+
+
+def _limit_memory() -> None:
+    """A file that asks for everything shall not take it from other programs."""
+    if resource is not None:
+        _, highest = resource.getrlimit(resource.RLIMIT_DATA)
+        limit = MEMORY if highest == resource.RLIM_INFINITY else min(MEMORY, highest)
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, highest))
 
 
 class LimitedWork:
