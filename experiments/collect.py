@@ -8,7 +8,7 @@ from hydra.utils import instantiate
 from ssmr_torch.entry_point import entry_point, origin_of
 
 
-@entry_point("collect")
+@entry_point("collect", resumed="")
 def main(config, directory):
     from ssmr_torch.collection.resumption import COMPLETE, discard_recorded
 

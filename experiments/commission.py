@@ -10,7 +10,7 @@ from hydra.utils import instantiate
 from ssmr_torch.entry_point import entry_point, save_result
 
 
-@entry_point("commission")
+@entry_point("commission", resumed="", at_a_robot=True)
 def main(config, directory):
     from ssmr_torch.commissioning.commission import STEPS, commission
     from ssmr_torch.commissioning.directory import REPORT

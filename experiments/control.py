@@ -8,7 +8,7 @@ from hydra.utils import instantiate
 from ssmr_torch.entry_point import entry_point, found_row, origin_of, save_json, save_result
 
 
-@entry_point("control")
+@entry_point("control", at_a_robot=True)
 def main(config, directory):
     from ssmr_torch.closed_loop.artifact_run import in_a_sentence, plant_on_rig, run_artifact
     from ssmr_torch.deployment import artifact

@@ -6,7 +6,7 @@ ssmr reproduce preset=quick executor=joblib workers=2
 from ssmr_torch.entry_point import entry_point
 
 
-@entry_point("reproduce")
+@entry_point("reproduce", resumed="")
 def main(config, directory):
     from ssmr_torch.configuration import built, own_folders, plain
     from ssmr_torch.paper.jobs import plan

@@ -8,13 +8,14 @@ from hydra.utils import instantiate
 from ssmr_torch.entry_point import entry_point, save_result
 
 
-@entry_point("serve_plant")
+@entry_point("serve_plant", at_a_robot=True)
 def main(config, directory):
     from ssmr_torch.wire.link import RobotLink
     from ssmr_torch.wire.robot_end import RobotEnd
+    from ssmr_torch.wire.seal import read_key
 
     plant = instantiate(config.rig)(instantiate(config.plant))
-    with RobotLink(config.connect) as link:
+    with RobotLink(config.connect, read_key(config.key_file)) as link:
         robot = RobotEnd(plant, link, real_time=config.real_time, timeout=config.timeout, patience=config.patience,
                          answer_within=config.answer_within, safe_input=config.safe_input)
         print(f"{plant.name} looks for a controller at {config.connect}", flush=True)

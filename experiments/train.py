@@ -4,6 +4,7 @@ ssmr train data.path=FILE.h5 model=ssmr; several models with ssmr train -m data.
 """
 
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
@@ -11,7 +12,7 @@ from ssmr_torch.entry_point import entry_point, found_row, save_result
 from ssmr_torch.extras import require
 
 
-@entry_point("train")
+@entry_point("train", resumed="resume=true")
 def main(config, directory):
     from ssmr_torch.fitting.training_run import run_training
     from ssmr_torch.trajectory import TrajectoryDataset
@@ -25,7 +26,8 @@ def main(config, directory):
         kind=choices.model, model=instantiate(config.model), module=instantiate(config.module),
         fits={name: instantiate(fit) for name, fit in config.fit.items()}, trainer=instantiate(config.trainer),
         loggers=[instantiate(logger) for logger in config.logger.values()], directory=directory,
-        study=TrajectoryDataset.load(runs) if runs else None, searched=bool(choices.get("search")))
+        study=TrajectoryDataset.load(runs) if runs else None, searched=bool(choices.get("search")),
+        several=HydraConfig.get().mode == RunMode.MULTIRUN)
     if run is None:
         return None
     print(run.training.summary())

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from ssmr_torch import __version__
 from ssmr_torch.extras import remedy, require
+from ssmr_torch.interruption import ended_in_order
 from ssmr_torch.renamed import COMMANDS as RENAMED
 from ssmr_torch.renamed import SINCE, refuse_old_names
 
@@ -51,7 +52,8 @@ def main() -> int | None:
     except ValueError as error:
         print(f"ssmr {first}: {error}", file=sys.stderr)
         return 2
-    return start(first, with_files(first, arguments[1:]))
+    with ended_in_order(first):
+        return start(first, with_files(first, arguments[1:]))
 
 
 def start(command: str, arguments: list[str], program: str | None = None) -> int | None:

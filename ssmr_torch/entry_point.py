@@ -1,8 +1,9 @@
-"""What every command shares: its configuration by Hydra, one clear message on bad input, and result.json."""
+"""What every command shares: its configuration by Hydra, its directory, its end, one clear message, and result.json."""
 
 from __future__ import annotations
 
 import ctypes
+import errno
 import functools
 import logging
 import os
@@ -13,24 +14,35 @@ from pathlib import Path
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import InstantiationException
+from hydra.errors import CompactHydraException, InstantiationException
+from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, MissingMandatoryValue, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from ssmr_torch.configuration import folder, register, settings_lines
 from ssmr_torch.extras import remedy
+from ssmr_torch.interruption import END, belong_to, ended_in_order
 from ssmr_torch.provenance import provenance
 from ssmr_torch.quiet_libraries import quiet
 from ssmr_torch.renamed import refuse_old_names
 from ssmr_torch.result_files import save_json
+from ssmr_torch.run_directory import DirectoryInUse, alone_in, lock, release
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+WHOLE_ERROR = "HYDRA_FULL_ERROR"  # with it Hydra hands errors on; without it, it prints them and ends the process
 THEIRS = ("MisconfigurationException",)  # what Lightning raises for a trainer that is not possible here
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of malloc.h
 
 
-def entry_point(name: str):
-    """Run function(config, directory) → metric under Hydra, with conf/NAME.yaml; bad input ends in one message."""
+def entry_point(name: str, *, resumed: str | None = None, at_a_robot: bool = False):
+    """Run function(config, directory) → metric under Hydra, with conf/NAME.yaml.
+
+    Bad input, a full disk and a signal end in one message; the directory is that of one command at a time.
+    resumed: the option with which the same command goes on after an interruption, "" for none; None where it starts from
+    its beginning.   at_a_robot: whether a signal leaves a robot all the time that it takes to stop.
+    """
 
     def decorate(function):
         @functools.wraps(function)
@@ -39,23 +51,27 @@ def entry_point(name: str):
             quiet()
             keep_memory()
             directory = Path(HydraConfig.get().runtime.output_dir)
+            follow(directory, resumed)
             try:
-                for line in settings_lines(config, HydraConfig.get().runtime.choices):
-                    print(line, flush=True)
-                return function(config, directory)
+                with alone_in(directory):
+                    for line in settings_lines(config, HydraConfig.get().runtime.choices):
+                        print(line, flush=True)
+                    return function(config, directory)
+            except DirectoryInUse as error:
+                raise SystemExit(f"{name}: {error}") from error
             except Exception as error:
                 cause = error.__cause__ or error if isinstance(error, InstantiationException) else error
                 missing = remedy(error) or not_given(error)
                 expected = missing or isinstance(cause, (ValueError, OSError)) or type(cause).__name__ in THEIRS
                 if not expected and HydraConfig.get().mode != RunMode.MULTIRUN:
                     raise
-                what = missing or (str(cause) if expected else f"{type(cause).__name__}: {cause}")
+                what = missing or (in_words(cause) if expected else f"{type(cause).__name__}: {cause}")
                 return refuse(f"{name}: {what}", directory, error, expected)
 
         look_here()
         register()
-        return in_names_of_this_version(name, hydra.main(version_base="1.3", config_path=str(folder()),
-                                                         config_name=name)(task))
+        main = hydra.main(version_base="1.3", config_path=str(folder()), config_name=name)(task)
+        return in_names_of_this_version(name, ended_well(name, main, at_a_robot))
 
     return decorate
 
@@ -71,6 +87,74 @@ def in_names_of_this_version(name: str, main):
         return main(*given)
 
     return checked
+
+
+class OneCommand(Callback):
+    """The directory of a run, or of a multirun, is that of one command, before anything is written there.
+
+    The processes of one search share it.
+    """
+
+    def on_run_start(self, config: DictConfig, **_) -> None:
+        self._take(config, config.hydra.run.dir)
+
+    def on_multirun_start(self, config: DictConfig, **_) -> None:
+        self._take(config, config.hydra.sweep.dir, shared="search_sweeper" in config.hydra.sweeper._target_)
+
+    @staticmethod
+    def _take(config: DictConfig, directory: str, shared: bool = False) -> None:
+        try:
+            lock(directory, shared=shared)
+        except (DirectoryInUse, OSError) as error:  # Hydra would make a warning of it
+            raise SystemExit(f"{config.hydra.job.name}: {in_words(error)}") from error
+
+
+def ended_well(name: str, main, at_a_robot: bool = False):
+    """main, which ends in one message after a signal and where Hydra cannot write, and gives its directories back."""
+    @functools.wraps(main)
+    def checked(*given):
+        asked = os.environ.get(WHOLE_ERROR)
+        os.environ[WHOLE_ERROR] = "1"
+        try:
+            with ended_in_order(name):
+                END.limit = None if at_a_robot else END.limit
+                return main(*given)
+        except CompactHydraException as error:
+            if asked == "1":
+                raise
+            cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else None
+            raise SystemExit("\n".join(map(str, filter(None, (error, cause))))) from error
+        except OSError as error:
+            raise SystemExit(f"{name}: {in_words(error)}") from error
+        finally:
+            release()
+            os.environ.pop(WHOLE_ERROR)
+            os.environ.update({} if asked is None else {WHOLE_ERROR: asked})
+
+    return checked
+
+
+def follow(directory: Path, resumed: str | None) -> None:
+    """Say how the work goes on after a signal; in a process that a launcher has started, end with the one that did."""
+    logging.raiseExceptions = False  # a log that a full disk does not take is no reason for a traceback
+    several = HydraConfig.get().mode == RunMode.MULTIRUN
+    if END.command is None and several:
+        belong_to(os.getppid())
+    if resumed is None:
+        return
+    searches = several and "search" in HydraConfig.get().runtime.choices
+    where = f"hydra.sweep.dir={Path(HydraConfig.get().sweep.dir).absolute()}" if several else f"hydra.run.dir={directory}"
+    END.further = f"the same command with {f'{resumed} and ' if resumed and not searches else ''}{where} goes on"
+    if several or not resumed:
+        END.can_go_on()
+
+
+def in_words(error: Exception) -> str:
+    """What an error says; of a full disk, what to do."""
+    if isinstance(error, OSError) and error.errno in FULL:
+        return (f"{error.filename or 'a file'} cannot be written, as the disk is full ({error.strerror}); free some "
+                "space, and give the same command again")
+    return str(error)
 
 
 def offer(group: str, options: Mapping[str, Mapping]) -> None:

@@ -7,13 +7,16 @@ model: `settings`, and `found`, which says when and how they were found. A row o
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from omegaconf import OmegaConf
 
+from ssmr_torch import checksum
 from ssmr_torch.result_files import save_text
 
+log = logging.getLogger(__name__)
 PARTS = ("models", "controllers")
 FACTS = ("date", "command", "budget", "trials", "seed", "metric", "score", "note")
 HEADER = """\
@@ -23,23 +26,36 @@ HEADER = """\
 
 
 def read(path: Path) -> dict:
-    """The table of a file: part → name → row. Raises ValueError where it is no table of found settings."""
-    table = OmegaConf.to_container(OmegaConf.load(path))
+    """The table of a file: part → name → row. Raises ValueError where it is no table of found settings.
+
+    One line in the log says that a table was edited, or damaged, after a search wrote it.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+        table = OmegaConf.to_container(OmegaConf.create(text) if text.strip() else OmegaConf.create())
+    except Exception as error:  # OmegaConf and the library below it raise many types of errors
+        raise ValueError(f"{path} is no table of found settings ({' '.join(str(error).split())[:200]}); correct or "
+                         "write it again") from error
+    if checksum.edited(text) or not table:
+        log.warning("%s was edited or damaged after it was written; its scores may not belong to its settings", path)
     if not isinstance(table, dict) or not set(table) <= set(PARTS):
         keys = ", ".join(map(str, table)) if isinstance(table, Mapping) else type(table).__name__
         raise ValueError(f"{path} holds {keys}; expected a table of found settings: {' and '.join(PARTS)}")
     for part, rows in table.items():
+        if not isinstance(rows or {}, dict):
+            raise ValueError(f"{path}: {part} is {rows!r:.60}; expected rows by name")
         for name, row in (rows or {}).items():
+            row = row if isinstance(row, dict) else {}
             wanted = {"settings", "found"} | ({"controller"} if part == "controllers" else set())
-            if not isinstance(row, dict) or not wanted <= set(row):
-                raise ValueError(f"{path}: the row {part}.{name} lacks {', '.join(sorted(wanted - set(row or {})))}")
+            if not wanted <= set(row):
+                raise ValueError(f"{path}: the row {part}.{name} lacks {', '.join(sorted(wanted - set(row)))}")
     return {part: table.get(part) or {} for part in PARTS}
 
 
 def write(path: Path, robot: str, table: Mapping) -> None:
     """The table as a file, written aside and renamed into place."""
     kept = OmegaConf.create({part: dict(table[part]) for part in PARTS if table.get(part)})
-    save_text(path, HEADER.format(robot=robot) + OmegaConf.to_yaml(kept))
+    save_text(path, checksum.commented(HEADER.format(robot=robot) + OmegaConf.to_yaml(kept)))
 
 
 def merge(path: Path, part: str, name: str, row: Mapping) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import partial
@@ -13,6 +14,7 @@ import numpy as np
 from ssmr_torch.renamed import current
 
 ROOMS = ("ssmr_torch.control.", "ssmr_torch.tasks.")
+IMPORTING = ("solver_named", "_foreign")  # functions there that import what their arguments name
 
 
 def build(settings: dict, *arguments, packages: Sequence[str] = (), **more):
@@ -32,18 +34,28 @@ def build(settings: dict, *arguments, packages: Sequence[str] = (), **more):
         function = getattr(import_module(module), name)
     except (ModuleNotFoundError, AttributeError) as error:
         raise ValueError(f"cannot load {target}: {error}") from error
+    home = getattr(function, "__module__", None) or ""
+    elsewhere = home != module and not home.startswith(_rooms(packages))
+    if target.startswith(ROOMS) and (elsewhere or name in IMPORTING):
+        # what a module has imported from elsewhere may import or run anything
+        raise ValueError(f"the settings name {target!r}, which no settings may call; expected a class or function that "
+                         f"is defined in {' or '.join(_rooms(packages))}")
     given = {key: _built(value, packages) for key, value in settings.items() if not key.startswith("_")}
     try:
         return function(*arguments, **given, **more)
-    except TypeError as error:
-        raise ValueError(f"{target} does not accept the arguments {given}: {error}") from error
+    except (TypeError, AttributeError, LookupError, ArithmeticError, MemoryError, RecursionError) as error:
+        raise ValueError(f"{target} does not accept the arguments {reprlib.repr(given)}: {error}") from error
 
 
 def _refuse_elsewhere(what: str, target, packages: Sequence[str]) -> None:
-    rooms = (*ROOMS, *(f"{package}." for package in packages))
+    rooms = _rooms(packages)
     if not isinstance(target, str) or not target.startswith(rooms):
         raise ValueError(f"the settings name {target!r} as {what}; expected a class or function in "
                          f"{' or '.join(rooms)}, or in a package that --package names")
+
+
+def _rooms(packages: Sequence[str]) -> tuple[str, ...]:
+    return (*ROOMS, *(f"{package}." for package in packages))
 
 
 def _built(value, packages: Sequence[str]):

@@ -2,69 +2,20 @@
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from ssmr_torch import data_sheet as sheet
 from ssmr_torch.data_sheet import DataSheet
-from ssmr_torch.run import JITTER_TOLERANCE, KINDS, SPLITS, Run, Trajectory, own_copy
+from ssmr_torch.run import JITTER_TOLERANCE, KINDS, SPLITS, Trajectory, own_copy
+from ssmr_torch.trajectory_file import StoredTrajectory, format_of, load_runs, save_runs
 
 __all__ = ["JITTER_TOLERANCE", "KINDS", "SPLITS", "StoredTrajectory", "Trajectory", "TrajectoryDataset",
-           "refuse_other_data"]
-
-FORMAT = "ssmr_torch trajectories 1"
-
-
-@dataclass(frozen=True)
-class StoredTrajectory(Run):
-    """A trajectory in an HDF5 file that is read slice by slice, so that memory does not grow with its length."""
-
-    path: Path
-    key: str
-    kind: str
-    split: str
-    name: str
-    length: int
-    timestep: float
-    first: int = 0
-    columns: tuple[int, ...] | None = None
-
-    def slice(self, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-        """Observations and inputs of the samples start ≤ k < stop."""
-        start, stop, _ = slice(start, stop).indices(self.length)
-        rows = slice(self.first + start, self.first + max(start, stop))
-        group = _opened(self.path)[self.key]
-        return self._observed(group["observation"][rows]), group["input"][rows]
-
-    def observing(self, columns: Sequence[int]) -> StoredTrajectory:
-        """The same run with only these columns of the observation."""
-        available = range(self.slice(0, 1)[0].shape[1]) if self.columns is None else self.columns
-        return replace(self, columns=tuple(available[column] for column in columns))
-
-    def _observed(self, observation: np.ndarray) -> np.ndarray:
-        return observation if self.columns is None else observation[:, list(self.columns)]
-
-    def part(self, start: int, stop: int | None = None, **changes) -> StoredTrajectory:
-        """The samples start ≤ k < stop as a separate trajectory, with other fields changed by name."""
-        start, stop, _ = slice(start, stop).indices(self.length)
-        if stop - start < 2:
-            raise ValueError(f"{self.name or 'trajectory'}: {max(stop - start, 0)} samples; expected at least 2")
-        return replace(self, first=self.first + start, length=stop - start, **changes)
-
-    def read(self) -> Trajectory:
-        rows = slice(self.first, self.first + self.length)
-        group = _opened(self.path)[self.key]
-        return Trajectory(group["time"][rows], self._observed(group["observation"][rows]), group["input"][rows],
-                          self.kind, self.split, self.name)
-
+           "format_of", "refuse_other_data"]
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryDataset(DataSheet, Sequence):
@@ -189,75 +140,23 @@ class TrajectoryDataset(DataSheet, Sequence):
 
     def save(self, path: str | Path) -> Path:
         """Write all trajectories to one HDF5 file; the file appears only when it is complete."""
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        aside, card = path.with_name(path.name + ".part"), json.dumps(self._card())
-        with h5py.File(aside, "w") as file:
-            file.attrs["card"] = card
-            file["rest"] = self.rest
-            for index, stored in enumerate(self.trajectories):
-                trajectory = stored.read()
-                group = file.create_group(f"trajectories/{index:05d}")
-                for attribute in ("time", "observation", "input"):
-                    group[attribute] = getattr(trajectory, attribute)
-                group.attrs.update(kind=trajectory.kind, split=trajectory.split, name=trajectory.name,
-                                   timestep=trajectory.timestep)
-        os.replace(aside, path)
-        return path
-
-    def _card(self) -> dict:
-        return {"format": FORMAT, "length_unit": "m", "time_unit": "s",
-                "input_unit": self.input_unit, "output_names": self.output_names,
-                "input_names": self.input_names, "provenance": self.provenance}
+        return save_runs(path, self.trajectories, self.rest, {
+            "input_unit": self.input_unit, "output_names": self.output_names, "input_names": self.input_names,
+            "provenance": self.provenance})
 
     @classmethod
     def load(cls, path: str | Path) -> TrajectoryDataset:
         """Open a file written by `save`; samples stay on disk until they are asked for.
 
-        Raises FileNotFoundError, ValueError for a file of another kind, OSError for a truncated one.
+        Raises FileNotFoundError, and ValueError for a file of another kind or a damaged one. Reading samples after the
+        file was replaced by another one raises ValueError, too.
         """
-        path = Path(path).resolve()
-        if not path.is_file():
-            raise FileNotFoundError(f"there is no trajectory file at {path}; make one with ssmr collect")
-        if not h5py.is_hdf5(path):
-            raise ValueError(f"{path} is not an HDF5 file; expected one written by ssmr collect")
-        with h5py.File(path, "r") as file:
-            if "card" not in file.attrs or "trajectories" not in file:
-                raise ValueError(f"{path} is not a trajectory file of this package; read other HDF5 files with a "
-                                 "recording card: data=custom data.card=FILE.yaml")
-            card = json.loads(file.attrs["card"])
-            if card.get("format") != FORMAT:
-                raise ValueError(f"{path} has the format {card.get('format')!r}; this version reads {FORMAT!r}")
-            stored = tuple(
-                StoredTrajectory(path, f"trajectories/{key}", group.attrs["kind"], group.attrs["split"],
-                                 group.attrs["name"], len(group["time"]), float(group.attrs["timestep"]))
-                for key, group in sorted(file["trajectories"].items()))
-            rest = file["rest"][:]
-        return cls(stored, rest, card["output_names"], card["input_names"], card["input_unit"],
-                   card["provenance"])
-
-
-def format_of(path: str | Path) -> str:
-    """The format that an HDF5 file names in its attribute "card"; empty for a file of another kind."""
-    if not h5py.is_hdf5(path):
-        return ""
-    with h5py.File(path, "r") as file:
-        return str(json.loads(file.attrs.get("card", "{}")).get("format", "HDF5 without a card"))
+        stored, rest, card = load_runs(path)
+        return cls(stored, rest, card["output_names"], card["input_names"], card["input_unit"], card["provenance"])
 
 
 def _counted(lengths: Sequence[int]) -> str:
     return f"{len(lengths)} {'run' if len(lengths) == 1 else 'runs'}, {sum(lengths)} samples"
-
-
-def _opened(path: Path) -> h5py.File:
-    """The file, which stays open for reading, because opening takes fifty times longer than reading a window."""
-    status = os.stat(path)
-    return _open_once(path, status.st_ino, status.st_mtime_ns, os.getpid())
-
-
-@lru_cache(maxsize=4)
-def _open_once(path: Path, inode: int, modified: int, process: int) -> h5py.File:
-    return h5py.File(path, "r")
 
 
 def refuse_other_data(data) -> None:

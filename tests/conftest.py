@@ -18,6 +18,7 @@ from safetensors.numpy import load_file, save_file
 
 from ssmr_torch import configuration
 from ssmr_torch.benchmarks import tracking_instance
+from ssmr_torch.checksum import sealed_json
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.designed import DesignedController
 from ssmr_torch.control.disturbance_observer import DisturbanceObserver
@@ -69,7 +70,7 @@ def rewrite():
             metadata["model"] = json.dumps(model)
         save_file(tables, path, metadata)
         card["sha256"][file] = hashlib.sha256(path.read_bytes()).hexdigest()
-        (directory / "card.json").write_text(json.dumps(card))
+        (directory / "card.json").write_text(sealed_json(card))
 
     return change
 

@@ -7,8 +7,11 @@ import h5py
 import numpy as np
 import pytest
 
+from ssmr_torch import checksum
 from ssmr_torch import trajectory as module
+from ssmr_torch.checksum import Damaged
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
+from ssmr_torch.trajectory_file import BEFORE, FORMAT
 
 TIMESTEP = 0.01
 
@@ -29,6 +32,12 @@ def dataset():
 @pytest.fixture
 def stored(dataset, tmp_path):
     return TrajectoryDataset.load(dataset.save(tmp_path / "deep" / "runs.h5"))
+
+
+@pytest.fixture
+def saved(dataset, tmp_path):
+    """Its file, which nobody has opened."""
+    return dataset.save(tmp_path / "runs.h5")
 
 
 def assert_equal(found, expected):
@@ -231,9 +240,82 @@ def test_files_of_another_kind_are_refused(tmp_path, stored):
         TrajectoryDataset.load(foreign)
     with h5py.File(foreign, "a") as file:
         file.attrs["card"] = json.dumps({"format": "ssmr_torch trajectories 99"})
-    with pytest.raises(ValueError, match="has the format 'ssmr_torch trajectories 99'; this version reads '.* 1'"):
+    with pytest.raises(ValueError, match="has the format 'ssmr_torch trajectories 99'; this version reads '.* 2'"):
         TrajectoryDataset.load(foreign)
     cut = tmp_path / "cut.h5"
     cut.write_bytes(stored[0].path.read_bytes()[:-500])
-    with pytest.raises(OSError, match="truncated file"):
+    with pytest.raises(Damaged, match="truncated file"):
         TrajectoryDataset.load(cut)
+
+
+def without_checksum(path, format=FORMAT):
+    """The same file as a version without checksums wrote it, with this format."""
+    path.write_bytes(path.read_bytes()[:-checksum.LENGTH])
+    with h5py.File(path, "a") as file:
+        file.attrs["card"] = json.dumps(json.loads(file.attrs["card"]) | {"format": format})
+    return path
+
+
+def test_a_file_of_an_earlier_version_loads_and_the_log_says_that_it_has_no_checksum(dataset, saved, caplog):
+    path = without_checksum(saved, BEFORE)
+    for found, expected in zip(TrajectoryDataset.load(path), dataset, strict=True):
+        assert_equal(found.read(), expected)
+    assert [record.getMessage() for record in caplog.records] == [
+        f"{path} carries no checksum ({BEFORE}); damage to it may go unseen until it is written again"]
+
+
+def test_a_file_whose_checksum_was_removed_does_not_pass_as_one_of_an_earlier_version(saved):
+    with pytest.raises(Damaged, match="its format 'ssmr_torch trajectories 2' has a checksum, which is missing"):
+        TrajectoryDataset.load(without_checksum(saved))
+
+
+@pytest.mark.parametrize(("change", "says"), [
+    (lambda file: file["trajectories/00001/observation"].__setitem__((7, 2), np.nan),
+     "sécond / 2: sample 7 of observation is not finite"),
+    (lambda file: file["trajectories/00000/time"].__setitem__(9, 5.0),
+     "first: the time after sample 8 does not follow"),
+    (lambda file: file["rest"].__setitem__(1, np.inf), "rest holds 1 numbers that are not finite"),
+    (lambda file: file["trajectories/00000"].attrs.update(timestep=-0.01), "sampled every -0.01 s"),
+    (lambda file: file["trajectories/00000"].attrs.update(timestep=0.02), "the time after sample 0 does not follow"),
+    (lambda file: file["trajectories/00000"].attrs.update(kind="dcay"), "has the kind 'dcay'"),
+    (lambda file: file["trajectories/00000"].pop("input"), "input"),
+    (lambda file: file.attrs.update(card="{"), "its card cannot be read"),
+    (lambda file: file.attrs.update(card="[" * 10 ** 5), "its card cannot be read"),
+    (lambda file: file.attrs.update(card=file.attrs["card"].replace('"time_unit": "s"', '"time_unit": "ms"')),
+     "no valid time_unit in its card")])
+def test_a_wrong_value_in_a_file_without_checksum_is_refused_by_name_when_it_is_loaded(saved, change, says):
+    path = without_checksum(saved, BEFORE)
+    with h5py.File(path, "a") as file:
+        change(file)
+    with pytest.raises(Damaged, match=says):
+        TrajectoryDataset.load(path)
+
+
+def test_no_link_out_of_a_trajectory_file_is_followed(saved, tmp_path):
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["rest"] = np.zeros(3)
+    path = without_checksum(saved, BEFORE)
+    with h5py.File(path, "a") as file:
+        del file["rest"]
+        file["rest"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "rest")
+    with pytest.raises(ValueError, match="'rest' is a link to another file"):
+        TrajectoryDataset.load(path)
+
+
+def test_trajectories_whose_file_was_replaced_are_refused_instead_of_read_from_the_new_file(dataset, stored):
+    stored[0].slice(0, 5)
+    dataset.save(stored[0].path)  # the same content
+    np.testing.assert_array_equal(stored[0].slice(0, 5)[0], dataset[0].observation[:5])
+    TrajectoryDataset([run(seed=9)], np.zeros(3), "xyz", "ab").save(stored[0].path)
+    for read in (stored[0].read, lambda: stored[0].slice(0, 5)):
+        with pytest.raises(ValueError, match="was replaced since its trajectories were loaded; load it again"):
+            read()
+
+
+def test_the_file_has_the_permissions_that_the_user_asks_for(dataset, tmp_path):
+    for mask, mode in ((0o022, 0o644), (0o077, 0o600)):
+        before = os.umask(mask)
+        try:
+            assert dataset.save(tmp_path / "runs.h5").stat().st_mode & 0o777 == mode
+        finally:
+            os.umask(before)

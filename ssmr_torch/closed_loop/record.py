@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from ssmr_torch import checksum
 from ssmr_torch import data_sheet as sheet
 from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.evaluation.loop_report import LoopReport, loop_report, natural_frequency
 from ssmr_torch.evaluation.metrics import SETTLING_TIME, max_tracking_error, tracking_rmse
+from ssmr_torch.result_files import written_aside
 
 ARRAYS = ("time", "reference", "observation", "measurement", "input", "fallback", "solve_time", "iterations",
           "violation")
-FORMAT = "ssmr_torch closed loop 1"
+FORMAT = "ssmr_torch closed loop 2"
+BEFORE = "ssmr_torch closed loop 1"  # of versions up to 0.11, without a checksum
+LONGEST_STATUS = 100  # characters
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,37 +101,64 @@ class ClosedLoopRecord(DataSheet):
         """Write one HDF5 file. The file appears only when it is complete."""
         import h5py
 
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        aside = path.with_name(path.name + ".part")
         card = {"format": FORMAT, "length_unit": "m", "time_unit": "s", "input_unit": self.input_unit,
                 "tracked": self.tracked, "output_names": self.output_names, "input_names": self.input_names,
                 "provenance": self.provenance}
-        with h5py.File(aside, "w") as file:
+        with written_aside(path, sealed=True) as aside, h5py.File(aside, "w") as file:
             file.attrs["card"] = json.dumps(card)
             for name in ARRAYS:
                 file[name] = getattr(self, name)
             file.create_dataset("statuses", data=list(self.statuses), dtype=h5py.string_dtype())
-        os.replace(aside, path)
-        return path
+        return Path(path)
 
     @classmethod
     def load(cls, path: str | Path) -> ClosedLoopRecord:
-        """Read a file written by `save`. Raises FileNotFoundError, and ValueError for another kind of file."""
-        import h5py
-
+        """Read a file written by `save`. Raises FileNotFoundError, ValueError for another kind of file, and
+        `checksum.Damaged`, which is one, for a damaged file.
+        """
         path = Path(path)
         if not path.is_file():
             raise FileNotFoundError(f"no closed-loop record at {path}; make one with ssmr control")
-        with h5py.File(path, "r") as file:
-            card = json.loads(file.attrs.get("card", "{}"))
-            if card.get("format") != FORMAT:
-                raise ValueError(f"{path} is of format {card.get('format')!r}; expected {FORMAT!r}")
-            arrays = {name: file[name][:] for name in ARRAYS if name in file or name != "violation"}
-            statuses = tuple(file["statuses"].asstr()[:])
-        return cls(**arrays, statuses=statuses, tracked=card["tracked"], output_names=card["output_names"],
-                   input_names=card["input_names"], input_unit=card["input_unit"],
-                   provenance=card["provenance"])
+        try:
+            return cls(**_stored(path, checksum.check(path) is not None))
+        except (KeyError, AttributeError, TypeError, IndexError, OSError, RuntimeError) as error:
+            raise checksum.Damaged(f"{path} is damaged ({error}); record the run again") from error
+
+
+def _stored(path: Path, sealed: bool) -> dict:
+    """The fields of the record in a file. Raises ValueError for values that no record has."""
+    from ssmr_torch.hdf5_file import card_of, open_hdf5
+
+    with open_hdf5(path) as file:
+        card = card_of(file, path) if "card" in file.attrs else {}
+        if card.get("format") not in (FORMAT, BEFORE):
+            raise ValueError(f"{path} is of format {card.get('format')!r}; expected {FORMAT!r} or {BEFORE!r}")
+        checksum.refuse_unsealed(path, sealed, card["format"], BEFORE)
+        fields = {name: card[name] for name in ("tracked", "output_names", "input_names", "input_unit", "provenance")}
+        fields |= {name: file[name][:] for name in ARRAYS if name in file or name != "violation"}
+        # some at a time, because each of them may be as long as the file
+        texts, piece = file["statuses"].asstr(), max(1, min(4096, 2 ** 26 // path.stat().st_size))
+        statuses = [status for start in range(0, len(texts), piece) for status in _short(texts[start:start + piece])]
+    samples, p, m = len(fields["time"]), len(fields["output_names"]), len(fields["input_names"])
+    shapes = {name: (samples,) for name in ARRAYS} | {
+        "reference": (samples, len(fields["tracked"])), "observation": (samples, p), "measurement": (samples, p),
+        "input": (samples, m)}
+    wrong = [f"{name} has the shape {fields[name].shape} and the type {fields[name].dtype}"
+             for name, shape in shapes.items() if name in fields
+             and (fields[name].shape != shape or fields[name].dtype.kind not in "fiub")]
+    wrong += [f"{name} is not finite" for name in ("time", "reference", "input")
+              if not wrong and not np.isfinite(fields[name]).all()]
+    wrong += [f"the tracked columns are {fields['tracked']} of {p} outputs"
+              for column in fields["tracked"] if not (isinstance(column, int) and 0 <= column < p)]
+    if wrong or samples < 1 or (np.diff(fields["time"]) <= 0).any():
+        raise checksum.Damaged(f"{path}: {(wrong or ['time does not increase'])[0]}; record the run again")
+    return fields | {"statuses": statuses}
+
+
+def _short(statuses) -> list[str]:
+    if any(len(status) > LONGEST_STATUS for status in statuses):
+        raise ValueError(f"a status of more than {LONGEST_STATUS} characters; record the run again")
+    return list(statuses)
 
 
 def told_by(controller) -> dict:

@@ -6,7 +6,9 @@ import numpy as np
 
 from ssmr_torch import __version__
 from ssmr_torch.closed_loop.record import ClosedLoopRecord, planned_violations, told_by
-from ssmr_torch.wire.controller_end import ControllerEnd, code_of
+from ssmr_torch.control.base import Command
+from ssmr_torch.wire.answers import Sample, code_of
+from ssmr_torch.wire.controller_end import ControllerEnd
 from ssmr_torch.wire.messages import Code
 
 
@@ -14,9 +16,11 @@ def record_of(end: ControllerEnd, task, provenance: dict | None = None) -> Close
     """The record of the controller's last run.
 
     The true outputs of the robot are not known here, so that the observation is the measurement, interpolated linearly
-    where one was missing. Raises ValueError for a run without a measurement.
+    where one was missing. Where the controller was not asked, because the run was suspended or more samples were
+    missing than it is told of, the input is the robot's safe input by default. Raises ValueError for a run without a
+    measurement.
     """
-    samples, robot = end.samples, end.description
+    robot, samples = end.description, without_holes(end)
     time = np.array([sample.time for sample in samples])
     measurement = np.array([sample.observation for sample in samples]).reshape(len(samples), -1)
     seen = np.isfinite(measurement).all(axis=1)
@@ -39,6 +43,19 @@ def record_of(end: ControllerEnd, task, provenance: dict | None = None) -> Close
         tracked=task.columns(robot.output_names), output_names=robot.output_names, input_names=robot.input_names,
         input_unit=robot.input_unit, provenance=settings | (provenance or {}),
         violation=planned_violations(commands))
+
+
+def without_holes(end: ControllerEnd) -> list[Sample]:
+    """The samples of the last run, with those that were passed over."""
+    robot, samples = end.description, []
+    nothing = np.full(len(robot.output_names), np.nan)
+    for sample in end.samples:
+        before = round(samples[-1].time / robot.timestep) if samples else -1
+        for place in range(before + 1, round(sample.time / robot.timestep)):
+            safe = Command(np.clip(0.0, *robot.input_bounds), held=True)
+            samples.append(Sample(place * robot.timestep, nothing, safe, np.nan))
+        samples.append(sample)
+    return samples
 
 
 def _status(command, code: Code) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -10,11 +11,13 @@ from urllib.parse import quote
 
 import h5py
 
+from ssmr_torch.checksum import Damaged
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 COMPLETE = "trajectories.h5"
 FOLDER = "recorded"
 COMMON = ("source", "package", "seed", "plant")  # provenance that all trajectories of a collection share
+log = logging.getLogger(__name__)
 REMEDY = "choose another directory, or remove it if it is no longer needed"
 
 
@@ -53,7 +56,8 @@ class Recorded:
             try:
                 dataset = TrajectoryDataset.load(path)
                 finished |= {stored.name: stored.read() for stored in dataset}
-            except OSError:
+            except Damaged as error:
+                log.warning("%s; it is recorded again", error)
                 continue
             self._refuse_another(path, dataset)
         return finished
@@ -80,7 +84,7 @@ class Recorded:
 def discard_recorded(directory: str | Path) -> None:
     """Remove the files of single trajectories; to be called when all of them are in trajectories.h5."""
     folder = Path(directory) / FOLDER
-    for pattern in ("*.h5", "*.h5.part"):
+    for pattern in ("*.h5", "*.part"):
         for path in folder.glob(pattern):
             path.unlink()
     if folder.is_dir() and not any(folder.iterdir()):

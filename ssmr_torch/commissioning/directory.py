@@ -12,11 +12,12 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from ssmr_torch import __version__
+from ssmr_torch import __version__, checksum
 from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.collection.resumption import COMPLETE, FOLDER, discard_recorded
 from ssmr_torch.commissioning.robot_card import RobotCard, changed_keys, read_robot_card
 from ssmr_torch.plants.base import Plant
+from ssmr_torch.result_files import read_json, save_text
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 CARD, PROGRESS, REPORT = "card.yaml", "progress.json", "commissioning.md"
@@ -34,7 +35,7 @@ class CommissioningDirectory:
     def confirmed(self) -> list[dict]:
         """The confirmed steps in order, each with `step`, `time`, `said` and `faults`."""
         path = self.path / PROGRESS
-        return json.loads(path.read_text())["confirmed"] if path.is_file() else []
+        return read_json(path)["confirmed"] if path.is_file() else []
 
     def confirm(self, step: str, said: str, faults: Sequence[str]) -> None:
         now = datetime.now(UTC).isoformat(timespec="seconds")
@@ -42,21 +43,18 @@ class CommissioningDirectory:
         self.write_json(PROGRESS, {"package": f"ssmr_torch {__version__}", "confirmed": [*self.confirmed(), entry]})
 
     def write(self, name: str, text: str) -> Path:
-        path = self.path / name
-        aside = path.with_name(path.name + ".part")
-        aside.write_text(text, encoding="utf-8")
-        os.replace(aside, path)
-        return path
+        return save_text(self.path / name, text)
 
     def write_json(self, name: str, content: dict | list) -> Path:
-        return self.write(name, json.dumps(content, indent=1) + "\n")
+        sealed = isinstance(content, dict)
+        return self.write(name, checksum.sealed_json(content, 1) if sealed else json.dumps(content, indent=1) + "\n")
 
     def read_json(self, name: str) -> dict | list:
         path = self.path / name
         if not path.is_file():
             raise FileNotFoundError(f"there is no {name} in {self.path}, although its step is confirmed; remove "
                                     f"{PROGRESS} to start again")
-        return json.loads(path.read_text())
+        return read_json(path)
 
     def has(self, name: str) -> bool:
         return (self.path / name).exists()

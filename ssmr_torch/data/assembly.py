@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ssmr_torch.data.run_boundaries import find_seams, find_time_gaps
+from ssmr_torch.data.run_boundaries import find_seams
 from ssmr_torch.data.sampling import SamplingRule, is_uniform, refuse_irregular, to_grid
 from ssmr_torch.data.units import Plausible, Units
+from ssmr_torch.recording_clocks.gaps import find_time_gaps
+from ssmr_torch.recording_clocks.time_units import refuse_implausible
 from ssmr_torch.recording_faults.recording import Recording
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
@@ -63,8 +65,7 @@ def refuse_wrong_clock(recordings: list[Recording], units: Units, plausible: Pla
         steps = np.diff(recording.time[np.isfinite(recording.time)])
         # Time that repeats or goes back has a message of its own.
         if (steps > 0).any():
-            plausible.refuse("time", float(np.median(steps[steps > 0])), units,
-                             f"{recording.name}: the median sampling interval")
+            refuse_implausible(recording.name, float(np.median(steps[steps > 0])), units.time, plausible.interval)
 
 
 def fingerprint(*paths: str | Path) -> dict[str, str]:

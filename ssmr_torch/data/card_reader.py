@@ -11,7 +11,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ssmr_torch.data.assembly import assemble, refuse_wrong_clock
 from ssmr_torch.data.file_units import refuse_other_units
+from ssmr_torch.data.input_lag import with_lag
 from ssmr_torch.data.named_files import digests, found_files, names_of_files
+from ssmr_torch.data.paired_files import Commands, command_files, commands_of, with_commands
 from ssmr_torch.data.recording_card import RecordingCard, read_recording_card
 from ssmr_torch.data.run_names import in_pieces, kind_and_split, with_full_names
 from ssmr_torch.data.sampling import SamplingRule
@@ -37,10 +39,12 @@ def custom(card: str | Path) -> TrajectoryDataset:
     """
     path = Path(card)
     described = read_recording_card(path)
-    files = found_files(path, described.files)
+    files = found_files(path, [*described.files, *(pair.outputs for pair in described.pairs)])
     runs = _runs(files, described, path.parent)
     described = with_full_names(described, list(runs))
-    recordings = in_pieces([_recording(name, *run, described) for name, run in runs.items()], described)
+    commands = commands_of(runs, described, path.parent)
+    recordings = in_pieces([_recording(name, *run, described, commands.get(name)) for name, run in runs.items()],
+                           described)
     plausible = Plausible(tuple(described.range), tuple(described.interval_range), described.largest_input)
     # Before the rest position: resting samples are found by how long they last.
     refuse_wrong_clock(recordings, described.units, plausible)
@@ -52,16 +56,17 @@ def custom(card: str | Path) -> TrajectoryDataset:
                           described.rest == "last sample of decays")
     rule = SamplingRule(described.sampling, described.timestep, described.irregularity, "refuse",
                         described.minimum_length)
-    provenance = {"reader": "custom", "sources": digests(path, files), "assumptions": [
+    provenance = {"reader": "custom", "sources": digests(path, [*files, *command_files(described, path.parent, files)]), "assumptions": [
         f"Lengths in {described.units.length}, inputs in {described.units.input}, time in "
         f"{described.units.time}.",
         assumed, "Each input is held until the next sample and acts after the observation of its row.",
-        *_without_inputs(runs, described)]}
+        *_without_inputs({name: run for name, run in runs.items() if name not in commands}, described)]}
     if described.symmetry:
         provenance["symmetry"] = described.symmetry
     dataset = assemble(recordings, rest, described.columns.observation, described.columns.input, described.units, rule,
                        provenance, plausible)
-    return without_copies(dataset, rules.copies)
+    # Of two clocks the offset is said where they are joined.
+    return with_lag(without_copies(dataset, rules.copies), described.input_lag, told=not commands)
 
 
 def _runs(files: list[Path], card: RecordingCard, folder: Path) -> dict[str, tuple[Table, str]]:
@@ -86,7 +91,7 @@ def _by_run(tables: Iterable[Table]) -> list[list[Table]]:
 def _fitting(tables: list[Table], card: RecordingCard, file: str) -> Table:
     """Of the tables of a run, each with a clock of its own, the one that has the columns of the card."""
     columns = card.columns
-    outputs = [*columns.observation, *filter(None, (columns.time, columns.run))]
+    outputs = [*columns.observation, *columns.clock, *filter(None, (columns.run,))]
     for wanted in ([*outputs, *columns.input], outputs):
         fitting = [table for table in tables if all(table.find(name) for name in wanted)]
         if len(tables) == 1 or fitting:
@@ -112,15 +117,17 @@ def _parts(table: Table, column: str | None, path: Path) -> list[Table]:
             for place, value in enumerate(dict.fromkeys(run.tolist()))]
 
 
-def _recording(name: str, table: Table, file: str, card: RecordingCard) -> Recording:
-    clock = clock_of(table, name, file, card.columns.time, card.units.scale("time"),
-                     None if card.sampling_time is None else card.sampling_time * card.units.scale("time"))
-    observation = table.numbers(card.columns.observation, file)[clock.rows]
-    inputs = np.zeros((len(observation), len(card.columns.input))) if _has_no_inputs(name, table, card) \
-        else table.numbers(card.columns.input, file)[clock.rows]
+def _recording(name: str, table: Table, file: str, card: RecordingCard, commands: Commands | None) -> Recording:
+    observation = table.numbers(card.columns.observation, file)
+    inputs = np.zeros((table.length, len(card.columns.input))) \
+        if commands is not None or _has_no_inputs(name, table, card) else table.numbers(card.columns.input, file)
+    clock = clock_of(table, name, file, card.clock_rules())
+    observation, inputs = observation[clock.rows], inputs[clock.rows]
+    if commands is not None:
+        clock, observation, inputs = with_commands(name, clock, observation, commands, card)
     return Recording(
         name, clock.time, observation * card.units.scale("length"), inputs * card.units.scale("input"),
-        seams="auto" if card.seams == "auto" else tuple(card.seams.get(name, [])), rows=clock.rows,
+        seams="auto" if card.seams == "auto" else tuple(card.seams.get(name, [])), rows=np.sort(clock.rows),
         notes=tuple(replace(note, run=name) for note in (*table.notes, *clock.notes)),
         output_names=tuple(card.columns.observation), **kind_and_split(name, card))
 

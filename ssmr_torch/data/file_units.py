@@ -12,7 +12,7 @@ def refuse_other_units(table: Table, card: RecordingCard, file: str) -> None:
     Inputs that the card calls "1" may have any unit.
     """
     named = {"length": card.columns.observation, "input": card.columns.input,
-             "time": [card.columns.time] if card.columns.time else []}
+             "time": [card.columns.time] if isinstance(card.columns.time, str) else []}
     for key, names in named.items():
         expected = getattr(card.units, key)
         for name in names:

@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 import scipy.io
 
-from ssmr_torch.recording_files.hdf5_reader import open_hdf5
+from ssmr_torch.hdf5_file import open_hdf5
 
 CELL_NAMES = ("oData", "xData")
 

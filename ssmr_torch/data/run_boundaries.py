@@ -1,4 +1,4 @@
-"""Finds the boundaries of runs in a recording: seams (jumps that no dynamics explains) and gaps in time."""
+"""Finds the boundaries of runs in a recording: seams, jumps that no dynamics explains."""
 
 from __future__ import annotations
 
@@ -58,12 +58,6 @@ def persistent_gap(observation: np.ndarray) -> np.ndarray:
         jump = y[right] - y[left] - (1 + before + after) * slope
         gap = np.minimum(gap, np.linalg.norm(jump, axis=1))
     return np.r_[np.zeros(GUARD), gap, np.zeros(GUARD)]
-
-
-def find_time_gaps(time: np.ndarray, longest: float = 3.0) -> np.ndarray:
-    """Rows before which more than `longest` median sampling intervals passed, because samples were lost."""
-    steps = np.diff(time)
-    return np.flatnonzero(steps > longest * np.median(steps)) + 1
 
 
 def count_blips(observation: np.ndarray, ratio: float = 5.0) -> int:

@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from ssmr_torch.data.recording_card import RecordingCard
-from ssmr_torch.data.run_boundaries import find_seams, find_time_gaps
+from ssmr_torch.data.run_boundaries import find_seams
+from ssmr_torch.recording_clocks.gaps import find_time_gaps
 from ssmr_torch.recording_faults.recording import Recording
 
 PIECE = re.compile(r"(?P<run>.+)/(?P<number>\d+)")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from ssmr_torch.recording_clocks.held_inputs import mean_of_held
 from ssmr_torch.trajectory import JITTER_TOLERANCE
 
 IRREGULAR = 0.3
@@ -72,19 +73,6 @@ def resample(time: np.ndarray, observation: np.ndarray, inputs: np.ndarray,
     return grid, motion, mean_of_held(time, inputs, np.r_[grid, grid[-1] + timestep])
 
 
-def mean_of_held(time: np.ndarray, inputs: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Means over [edges[k], edges[k+1]] of inputs held from time[j] to time[j+1]; (K, m).
-
-    The last input is held beyond time[-1].
-    """
-    end = max(edges[-1], time[-1]) + np.diff(edges).min()
-    knots = np.r_[time, end]
-    impulse = np.r_[np.zeros((1, inputs.shape[1])), np.cumsum(inputs * np.diff(knots)[:, None], axis=0)]
-    at_edges = np.stack([np.interp(edges, knots, column) for column in impulse.T], axis=1) \
-        if inputs.shape[1] else np.empty((len(edges), 0))
-    return np.diff(at_edges, axis=0) / np.diff(edges)[:, None]
-
-
 def to_grid(time: np.ndarray, observation: np.ndarray, inputs: np.ndarray, rule: SamplingRule,
             timestep: float, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The run on a uniform grid; unchanged, if it is already uniform.
@@ -106,7 +94,7 @@ def refuse_irregular(time: np.ndarray, rule: SamplingRule, timestep: float, name
     if spread > rule.irregularity:
         raise ValueError(f"{_facts(time, timestep, name)}; 5 % of them deviate by more than "
                          f"{100 * spread:.3g} % from the median, the limit is {100 * rule.irregularity:.3g} "
-                         "%; record with a steady clock, or raise irregularity to interpolate anyway")
+                         "%; set stamps: even where the sampling was even, or raise irregularity to interpolate anyway")
 
 
 def _facts(time: np.ndarray, timestep: float, name: str) -> str:

@@ -20,7 +20,7 @@ def stored(path: str | Path | Sequence[str | Path]) -> TrajectoryDataset:
     unit or rest differ.
     """
     paths = [path] if isinstance(path, (str, Path)) else list(path)
-    datasets = [_opened(each) for each in paths]
+    datasets = [TrajectoryDataset.load(each) for each in paths]
     for other, name in zip(datasets, paths):
         for what in ("output_names", "input_names", "input_unit", "rest"):
             one, two = getattr(datasets[0], what), getattr(other, what)
@@ -32,12 +32,3 @@ def stored(path: str | Path | Sequence[str | Path]) -> TrajectoryDataset:
         provenance["joined"] = [fingerprint(each) for each in paths[1:]]
     return replace(datasets[0], trajectories=tuple(run for dataset in datasets for run in dataset),
                    provenance=provenance)
-
-
-def _opened(path: str | Path) -> TrajectoryDataset:
-    try:
-        return TrajectoryDataset.load(path)
-    except FileNotFoundError:
-        raise
-    except OSError as error:
-        raise ValueError(f"{Path(path).name} cannot be read ({error}); copy or collect it again") from error

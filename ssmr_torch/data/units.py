@@ -8,31 +8,38 @@ from typing import Annotated, ClassVar
 from pydantic import BeforeValidator, Field
 
 from ssmr_torch.data.card_file import Card, not_as_described
+from ssmr_torch.recording_clocks.clock_rules import INTERVAL
+from ssmr_torch.recording_clocks.time_units import SYNONYMS, TIME_UNITS
 
 UNITS = {"length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3}, "input": {"N": 1.0, "mN": 1e-3, "1": 1.0},
-         "time": {"s": 1.0, "ms": 1e-3}}
+         "time": TIME_UNITS}
 LARGEST_INPUT = {"N": 100.0, "1": 10.0}
-COLUMNS = {"length": "observations", "input": "inputs", "time": "times"}
-CARD_KEYS = {"length": "range", "input": "largest_input", "time": "interval_range"}
+COLUMNS = {"length": "observations", "input": "inputs"}
+CARD_KEYS = {"length": "range", "input": "largest_input"}
 
 
 def _unit_of(key: str):
     def known(value):
-        if str(value) not in UNITS[key]:
+        unit = SYNONYMS.get(str(value), str(value))  # YAML reads 1 as a number
+        if unit not in UNITS[key]:
             raise not_as_described()
-        return str(value)  # YAML reads 1 as a number
+        return unit
 
     return Annotated[str, BeforeValidator(known), Field(description=f"one of {list(UNITS[key])}")]
 
 
 class Units(Card):
-    """Units of the file; everything becomes m, N and s. Input "1" stands for normalized commands."""
+    """Units of the file; everything becomes m, N and s. Input "1" stands for normalized commands.
+
+    input_time: of the stamps of inputs in a file of their own; `time` by default.
+    """
 
     part: ClassVar[str] = "units"
 
     length: _unit_of("length")
     input: _unit_of("input") = "N"
     time: _unit_of("time") = "s"
+    input_time: _unit_of("time") | None = Field(None, description=f"one of {list(UNITS['time'])}")
 
     @property
     def input_inside(self) -> str:
@@ -52,22 +59,25 @@ class Plausible:
     """
 
     displacement: tuple[float, float] = (1e-3, 2.0)
-    interval: tuple[float, float] = (1e-4, 0.5)
+    interval: tuple[float, float] = INTERVAL
     largest_input: float | None = None
 
     def bounds(self, key: str, unit: str) -> tuple[float, float]:
         """Smallest and largest plausible value, in SI units, of what a file holds in this unit."""
         if key == "input":
             return 0.0, self.largest_input or LARGEST_INPUT["1" if unit == "1" else "N"]
-        return self.displacement if key == "length" else self.interval
+        return self.displacement
 
     def refuse(self, key: str, value: float, units: Units, quantity: str) -> None:
-        """Raises ValueError, naming the units that are likelier, unless `value` (SI units) is plausible."""
+        """Raises ValueError, naming the units that are likelier, unless `value` (SI units) is plausible.
+
+        key: "length" or "input"; times are judged where clocks are read, `time_units.refuse_implausible`.
+        """
         unit = getattr(units, key)
         lowest, highest = self.bounds(key, unit)
         if lowest <= value <= highest:
             return
-        inside = {"length": " m", "time": " s", "input": " N" if units.input_inside == "N" else ""}[key]
+        inside = {"length": " m", "input": " N" if units.input_inside == "N" else ""}[key]
         raw = value / units.scale(key)
         likely = [name for name, scale in UNITS[key].items()
                   if self.bounds(key, name)[0] <= raw * scale <= self.bounds(key, name)[1]]

@@ -2,7 +2,8 @@
 
     tables.safetensors     the arrays, float64, and the structure in its metadata
     reference.safetensors  the reference batch: seeded windows, states and inputs, and what the model predicted for them
-    card.json              model card: kind, shapes, units, timestep, provenance, scores, hashes of the other files
+    card.json              model card: kind, shapes, units, timestep, provenance, scores, hashes of the other files, and
+                           a checksum of the card itself
     controller.json        only with a designed controller: settings, task, bounds, facts; see `control.designed`
     deployed/              only on request: the model in C, as Torch programs, as ONNX graphs; see docs/deployment.md
 
@@ -14,22 +15,23 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
-import tempfile
 from collections.abc import Callable
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
 
+from ssmr_torch import checksum
+from ssmr_torch.deployment.card_checks import refuse_card, refuse_designed
+from ssmr_torch.deployment.tables import class_of, load_tables, needed, save_arrays, save_tables, stored_arrays
+from ssmr_torch.deployment.whole_directory import whole_directory
 from ssmr_torch.lazy import found
 from ssmr_torch.models.base import Model
+from ssmr_torch.result_files import save_text
 
-FORMAT = "ssmr_torch artifact 3"
+FORMAT = "ssmr_torch artifact 4"
+WITHOUT_CHECKSUM = "ssmr_torch artifact 3"  # of versions 0.8 to 0.11
 # Kinds of models in the format of versions up to 0.7, with the functions that read their tables.
 BEFORE = "ssmr_torch artifact 2"
 KINDS_BEFORE = {"polynomial": "ssmr_torch.models.named_structures:spectral_submanifold",
@@ -37,14 +39,11 @@ KINDS_BEFORE = {"polynomial": "ssmr_torch.models.named_structures:spectral_subma
                 "koopman": "ssmr_torch.models.named_structures:koopman",
                 "neural ODE": "ssmr_torch.models.neural:NeuralModel",
                 "TPWL": "ssmr_torch.models.piecewise_linear:PiecewiseLinearModel"}
-# The entries that every card must have, with their types.
-CARD = {"format": str, "kind": str, "model": dict, "sha256": dict, "name": str, "units": dict, "output_names": list,
-        "input_names": list, "rest": list, "input_range": list}
-# The entries that controller.json must have, with their types.
-DESIGNED = {"controller": dict, "tracked": list, "input_bounds": list, "timestep": float, "facts": dict}
 REPLAY_TOLERANCE = 1e-9
 DEPLOYED = "deployed"
 CONTROLLER = "controller.json"
+CARD = "card.json"
+MOST_ROWS = 1000  # of a reference batch
 _HASHED = ("tables.safetensors", "reference.safetensors")
 
 
@@ -81,7 +80,7 @@ def save(directory: str | Path, model: Model, *, output_names, input_names, rest
     _validate(model, output_names, input_names, rest, bounds)
     _refuse_foreign(directory)
     plain = {key: value for key, value in model.plain().items() if key != "structure"}  # too long for the card
-    card = {"format": FORMAT, "kind": model.kind, "class": _class_of(model), "name": name,
+    card = {"format": FORMAT, "kind": model.kind, "class": class_of(model), "name": name,
             "model": plain | {"state_dim": model.state_dim},
             "geometry": model.geometry, "units": {"length": "m", "time": "s", "input": input_unit},
             "sampling_time": model.window_timestep if sampling_time is None else float(sampling_time),
@@ -89,17 +88,41 @@ def save(directory: str | Path, model: Model, *, output_names, input_names, rest
             "input_range": bounds.tolist(), "output_range": output_range, "provenance": provenance or {},
             "scores": {key: value if np.isfinite(value) else None for key, value in (scores or {}).items()},
             "cost": cost or {}}
-    with _replacing(directory) as aside:
+    with whole_directory(directory, _refuse_foreign) as aside:
         save_tables(aside / "tables.safetensors", model)
         reference = _reference_inputs(model, bounds)
-        save_file(reference | _predict(model, reference), aside / "reference.safetensors")
+        save_arrays(aside / "reference.safetensors", reference | _predict(model, reference))
         if designed is not None:
-            (aside / CONTROLLER).write_text(json.dumps(designed, indent=1, allow_nan=False) + "\n")
-        card["sha256"] = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(aside.iterdir())}
-        (aside / "card.json").write_text(json.dumps(card, indent=2, allow_nan=False) + "\n")
+            save_text(aside / CONTROLLER, json.dumps(designed, indent=1, allow_nan=False) + "\n")
+        _write_card(aside, card)
         if complete is not None:
             complete(aside)
+            _write_card(aside, card)
     return directory
+
+
+def add_files(directory: str | Path, write: Callable[[Path], object]) -> None:
+    """Add files to an artifact: `write` is called with a copy of it, which then replaces it as a whole.
+
+    Raises ValueError as `load` does; if write raises, nothing is changed.
+    """
+    directory = Path(directory)
+    with whole_directory(directory) as aside:
+        shutil.copytree(directory, aside, symlinks=True, dirs_exist_ok=True)
+        write(aside)
+        _write_card(aside, _card(aside / CARD))
+
+
+def _write_card(directory: Path, card: dict) -> None:
+    """Write the card with the hashes of all other files of the artifact, and its own checksum."""
+    paths = [directory / name for name in (*_HASHED, CONTROLLER)]
+    paths += sorted(path for path in (directory / DEPLOYED).rglob("*") if path.is_file())
+    hashes = {path.relative_to(directory).as_posix(): _sha256(path) for path in paths if path.is_file()}
+    save_text(directory / CARD, checksum.sealed_json(card | {"sha256": hashes}))
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def load(directory: str | Path) -> Artifact:
@@ -109,105 +132,55 @@ def load(directory: str | Path) -> Artifact:
     gives the stored prediction (the message gives the difference).
     """
     directory = Path(directory)
-    if not (directory / "card.json").is_file():
+    if not (directory / CARD).is_file():
         raise FileNotFoundError(f"no artifact at {directory} (no card.json); make one with ssmr export")
-    card = _card(directory / "card.json")
-    if card["format"] not in (FORMAT, BEFORE) or (card["format"] == BEFORE and card["kind"] not in KINDS_BEFORE):
-        raise ValueError(f"{directory} has format {card['format']!r} and kind {card['kind']!r}; this version reads "
-                         f"{FORMAT!r}, and {BEFORE!r} of the kinds {sorted(KINDS_BEFORE)}")
+    card = _card(directory / CARD)
     carries = CONTROLLER in card["sha256"] or (directory / CONTROLLER).exists()
-    for path in (directory / name for name in (*_HASHED, *([CONTROLLER] if carries else []))):
-        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != card["sha256"].get(path.name):
-            raise ValueError(f"{path} is missing or differs from the hash in the card; export the model again")
+    _refuse_changed(directory, card["sha256"], (*_HASHED, *([CONTROLLER] if carries else [])))
+    path = directory / "tables.safetensors"
     if card["format"] == BEFORE:
         # A setting that is newer than the artifact takes its default: the behaviour when the artifact was written.
         settings = {name: value for name, value in card["model"].items() if name != "state_dim"}
-        arrays, _ = _stored(directory / "tables.safetensors")
-        with _needed(directory / "tables.safetensors", f"a model of the kind {card['kind']}"):
+        arrays, _ = stored_arrays(path)
+        with needed(path, f"a model of the kind {card['kind']}"):
             model = found(KINDS_BEFORE[card["kind"]])(**arrays, **settings)
     else:
-        model = load_tables(directory / "tables.safetensors")[0]
+        model = load_tables(path)[0]
+    refuse_card(directory / CARD, card, model)
     _replay(directory, model)
-    return Artifact(model, card, _designed(directory / CONTROLLER) if carries else None)
-
-
-def _designed(path: Path) -> dict:
-    try:
-        designed = json.loads(path.read_text())
-    except ValueError as error:
-        raise ValueError(f"{path} is not valid JSON ({error}); design the controller again") from error
-    missing = [name for name, kind in DESIGNED.items() if not isinstance(designed, dict)
-               or not isinstance(designed.get(name), kind)]
-    if missing:
-        raise ValueError(f"{path} is not a designed controller: it has no {', '.join(missing)}; design it again")
-    return designed
-
-
-def _class_of(model: Model) -> str:
-    return f"{type(model).__module__}:{type(model).__qualname__}"
-
-
-def save_tables(path: Path, model: Model, **noted) -> None:
-    """Write the arrays to one file. Its metadata hold class and plain values of the model, and the entries `noted`."""
-    # One key only: safetensors writes several keys in any order, and the file's hash would change.
-    noted = {"class": _class_of(model), "plain": model.plain(), **noted}
-    save_file({name: np.ascontiguousarray(array) for name, array in model.arrays.items()}, path,
-              {"model": json.dumps(noted)})
+    return Artifact(model, card, refuse_designed(directory / CONTROLLER, model) if carries else None)
 
 
 def _card(path: Path) -> dict:
-    try:
-        card = json.loads(path.read_text())
-    except ValueError as error:  # not JSON, or not text
-        raise ValueError(f"{path} is not valid JSON ({error}); export the model again") from error
-    missing = [name for name in CARD if not isinstance(card, dict) or not isinstance(card.get(name), CARD[name])]
-    if missing:
-        raise ValueError(f"{path} is not the card of an artifact: it has no {', '.join(missing)}; export the model "
-                         "again")
+    """The card, whose format and checksum were checked. Raises ValueError for any other file."""
+    card = checksum.parsed(path)
+    refuse_card(path, card)
+    if card["format"] not in (FORMAT, WITHOUT_CHECKSUM, BEFORE) or (
+            card["format"] == BEFORE and card["kind"] not in KINDS_BEFORE):
+        raise ValueError(f"{path.parent} has format {card['format']!r} and kind {card['kind']!r}; this version reads "
+                         f"{FORMAT!r}, {WITHOUT_CHECKSUM!r}, and {BEFORE!r} of the kinds {sorted(KINDS_BEFORE)}")
+    checksum.refuse_unsealed(path, checksum.KEY in card, card["format"], WITHOUT_CHECKSUM, BEFORE)
     return card
 
 
-def _stored(path: Path) -> tuple[dict[str, np.ndarray], dict]:
-    """The arrays of a file, and the entries in its metadata. Raises ValueError where the file is damaged."""
-    try:
-        with safe_open(path, "np") as file:
-            noted = json.loads((file.metadata() or {}).get("model", "{}"))
-            return {name: file.get_tensor(name) for name in file.keys()}, noted  # noqa: SIM118
-    except (SafetensorError, ValueError) as error:
-        raise ValueError(f"{path} is damaged ({error}); export the model again") from error
-
-
-@contextmanager
-def _needed(path: Path, what: str):
-    """Turn any error that a model raises for missing or wrong arrays into a ValueError that names the file."""
-    try:
-        yield
-    except (TypeError, LookupError, ValueError, AttributeError, OverflowError, MemoryError) as error:
-        raise ValueError(f"{path} does not hold what {what} needs ({error}); export the model again") from error
-
-
-def load_tables(path: Path) -> tuple[Model, dict]:
-    """The model in a file of `save_tables`, and the entries in its metadata. Raises ValueError for any other file.
-    """
-    arrays, noted = _stored(path)
-    if not isinstance(noted, dict) or not {"class", "plain"} <= noted.keys():
-        raise ValueError(f"{path} does not say which model its tables belong to; export the model again")
-    try:
-        family = found(noted["class"])
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"{path} holds a model of the class {noted['class']}, which is not installed here ({error}); "
-                         "install its package") from error
-    if not (isinstance(family, type) and issubclass(family, Model)):
-        raise ValueError(f"{path} names the class {noted['class']}, which is not a model; export the model again")
-    with _needed(path, f"a {family.__name__}"):
-        return family.from_plain(arrays, noted["plain"]), noted
+def _refuse_changed(directory: Path, hashes: dict, names: tuple[str, ...]) -> None:
+    """Raises ValueError for a missing or changed file, and for a changed program in the folder `deployed`."""
+    for path in (directory / name for name in names):
+        if not path.is_file() or _sha256(path) != hashes.get(path.name):
+            raise ValueError(f"{path} is missing or differs from the hash in the card; export the model again")
+    folder = directory / DEPLOYED
+    for path in sorted(folder.rglob("*")) if folder.is_dir() and not folder.is_symlink() else ():
+        given = hashes.get(path.relative_to(directory).as_posix())  # others may lie there, such as what was compiled
+        if given is not None and path.is_file() and _sha256(path) != given:
+            raise ValueError(f"{path} differs from the hash in the card; export the model again, or remove the folder "
+                             f"{folder}")
 
 
 def reference(directory: str | Path) -> dict[str, np.ndarray]:
     """The reference batch of an artifact: state (16, n), input (16, m), window (16, n_d + 1, p), window_input
     (16, n_d, m), and what the model predicted for them when it was written. Raises ValueError for a damaged file.
     """
-    return _stored(Path(directory) / "reference.safetensors")[0]
+    return stored_arrays(Path(directory) / "reference.safetensors")[0]
 
 
 def by_name(artifacts: list[Artifact]) -> dict[str, Model]:
@@ -257,7 +230,7 @@ def _validate(model: Model, output_names, input_names, rest: np.ndarray, bounds:
 def _refuse_foreign(directory: Path) -> None:
     if not directory.exists():
         return
-    known = (*_HASHED, CONTROLLER, "card.json") + ((DEPLOYED,) if (directory / "card.json").is_file() else ())
+    known = (*_HASHED, CONTROLLER, CARD) + ((DEPLOYED,) if (directory / CARD).is_file() else ())
     foreign = [directory.name] if directory.is_file() else sorted(
         path.name for path in directory.iterdir() if path.name not in known)
     if foreign:
@@ -281,13 +254,15 @@ def _predict(model: Model, reference: dict[str, np.ndarray]) -> dict[str, np.nda
     C, d = model.linearize_output(z)
     predicted = {"encoded": model.encode(window, reference["window_input"]), "decoded": model.decode(z),
                  "following": model.step(z, u), "A": A, "B": B, "c": c, "C": C, "d": d}
-    # safetensors would store the memory behind a broadcast view, so it is copied.
-    return {name: np.ascontiguousarray(array) for name, array in predicted.items()}
+    return predicted
 
 
 def _replay(directory: Path, model: Model) -> None:
     recorded = reference(directory)
-    with _needed(directory / "reference.safetensors", "the replay of this model"), np.errstate(all="ignore"):
+    if max((len(array) for array in recorded.values() if array.ndim), default=0) > MOST_ROWS:
+        raise ValueError(f"{directory / 'reference.safetensors'} holds more than {MOST_ROWS} rows; export the model "
+                         "again")
+    with needed(directory / "reference.safetensors", "the replay of this model"), np.errstate(all="ignore"):
         predicted = _predict(model, recorded)
         # c and d are differences of states or outputs. For a linear model they are only rounding, so they are compared
         # with the size of the state or output itself.
@@ -299,31 +274,3 @@ def _replay(directory: Path, model: Model) -> None:
             raise ValueError(f"{directory} no longer gives its stored reference prediction: {name} differs by "
                              f"{error:.3g} relative; at most {REPLAY_TOLERANCE:g} is allowed. Export the model again "
                              "with this version")
-
-
-@contextmanager
-def _replacing(directory: Path):
-    """A temporary folder that replaces the directory once everything is written; after an error it is removed."""
-    directory.parent.mkdir(parents=True, exist_ok=True)
-    within = Path(tempfile.mkdtemp(prefix=f".{directory.name}.", dir=directory.parent))
-    try:
-        aside = within / "new"
-        aside.mkdir()
-        yield aside
-        for path in aside.rglob("*"):
-            if path.is_file():  # temporary files are readable only by their owner
-                path.chmod(path.stat().st_mode | 0o444)
-        _replace(aside, directory, within / "old")
-    finally:
-        shutil.rmtree(within, ignore_errors=True)
-
-
-def _replace(aside: Path, directory: Path, old: Path) -> None:
-    if directory.exists():
-        os.replace(directory, old)
-    try:
-        os.replace(aside, directory)
-    except OSError:
-        if old.exists():
-            os.replace(old, directory)
-        raise

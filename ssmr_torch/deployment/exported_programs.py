@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import shutil
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -59,16 +58,17 @@ def deploy(directory: str | Path, formats: Sequence[str]) -> list[Form]:
     """
     formats = list(dict.fromkeys(formats))
     _refuse_unavailable(formats)
-    directory = Path(directory)
+    directory, forms = Path(directory), []
     loaded, batch = artifact.load(directory), artifact.reference(directory)
-    aside = Path(tempfile.mkdtemp(prefix=f".{directory.name}.deployed.", dir=directory.parent))
-    try:
-        forms = [WRITERS[name](loaded, batch, aside) for name in formats]
-        (directory / artifact.DEPLOYED).mkdir(exist_ok=True)
-        for path in sorted(aside.iterdir()):
-            os.replace(path, directory / artifact.DEPLOYED / path.name)
-    finally:
-        shutil.rmtree(aside)
+
+    def write(copy: Path) -> None:
+        with tempfile.TemporaryDirectory(dir=copy.parent) as aside:
+            forms.extend(WRITERS[name](loaded, batch, Path(aside)) for name in formats)
+            (copy / artifact.DEPLOYED).mkdir(exist_ok=True)
+            for path in sorted(Path(aside).iterdir()):
+                os.replace(path, copy / artifact.DEPLOYED / path.name)
+
+    artifact.add_files(directory, write)
     return forms
 
 

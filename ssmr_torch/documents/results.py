@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,6 +13,7 @@ from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.data_sheet import number
 from ssmr_torch.documents.store import FOLDER, Numbers, cell, read, write
 from ssmr_torch.provenance import provenance
+from ssmr_torch.result_files import read_json
 
 MM, MM2 = 1e3, 1e6
 RUN_OF_MAKE = "evaluate/scores.json"
@@ -75,7 +75,7 @@ def _run_of_make(directory: Path) -> Iterator[tuple[str, Table]]:
     path = directory / RUN_OF_MAKE
     if not path.is_file():
         return
-    content = json.loads(path.read_text(encoding="utf-8"))
+    content = read_json(path)
     loops = {row[0]: row[2:4] for _, table in _loops(directory / "control") for row in table.rows}
     open_loop = _scores_table(content["scores"], content["provenance"])
     rows = [[*row, *loops.get(row[0], [None, None])] for row in open_loop.rows]
@@ -85,7 +85,7 @@ def _run_of_make(directory: Path) -> Iterator[tuple[str, Table]]:
 def _selection(directory: Path) -> Iterator[tuple[str, Table]]:
     """What a training with model=auto says of its choice, a line each."""
     path = directory / "report.json"
-    content = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    content = read_json(path) if path.is_file() else {}
     if content.get("selection", {}).get("found"):
         yield "selection", Table(None, None, content["provenance"], content["selection"]["found"])
 
@@ -94,7 +94,7 @@ def _scores(directory: Path) -> Iterator[tuple[str, Table]]:
     """All runs together, and every group of runs."""
     path = directory / "scores.json"
     if path.is_file():
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
         for group, scores in ({"all": content["scores"]} | content["groups"]).items():
             yield group, _scores_table(scores, content["provenance"])
 
@@ -106,7 +106,7 @@ def _comparison(directory: Path) -> Iterator[tuple[str, Table]]:
     path = directory / "comparison.json"
     if not path.is_file():
         return
-    content, summary = json.loads(path.read_text(encoding="utf-8")), []
+    content, summary = read_json(path), []
     for group, scores in content["groups"].items():
         base, rows = _scores_table(scores, content["provenance"], without="full"), []
         for row, score in zip(base.rows, scores.values()):
@@ -154,7 +154,7 @@ def _loops(directory: Path) -> Iterator[tuple[str, Table]]:
 def _benchmark(directory: Path) -> Iterator[tuple[str, Table]]:
     """A file of `ssmr benchmark NAME`: rows by name of column."""
     for path in sorted(directory.glob("*.json")):
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
         rows = content.get("rows") if isinstance(content, dict) else None
         if rows:
             columns = list(dict.fromkeys(column for row in rows for column in row))
@@ -177,7 +177,7 @@ def _reproduction(directory: Path) -> Iterator[tuple[str, Table]]:
                         ("depth", lambda run: MM * float(run["max_violation"])),
                         ("computing_time", lambda run: float(run["solve_p99"]) / float(run["period"]))):
         yield name, Table(["robot: task", *methods], _by_task(runs, methods, value), origin)
-    scores = {path.stem: json.loads(path.read_text(encoding="utf-8"))["scores"]
+    scores = {path.stem: read_json(path)["scores"]
               for path in sorted(directory.glob("open_loop/*.json"))}
     names = list(dict.fromkeys(name for of_robot in scores.values() for name in of_robot))
     rows = [[f"{robot}, {label}", *(cells.get(name) for name in names)] for robot, of_robot in scores.items()

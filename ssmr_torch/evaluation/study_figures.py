@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator, StrMethodFormatter
 
 from ssmr_torch.evaluation.figures import METHODS, MM, MS, SPARE_COLOURS, WIDTH, look, panels, styled
 
@@ -43,20 +43,23 @@ def ranking(rows: Sequence[Mapping], score: str) -> Figure:
     """
     figure, grid = panels(WIDTH, 2.6, 1, len(COSTS), sharey=True)
     factor, unit = (MM, "mm") if "rmse" in score else (1.0, "–")
-    known = [row for row in rows if all(_finite(row.get(column)) for column, _, _ in COSTS)]
-    lost = [row for row in known if not _finite(row.get(score))]
+    known = [row for row in rows if any(_shown(row.get(column)) for column, _, _ in COSTS)]
+    lost = [row for row in known if not _shown(row.get(score))]
     for model, (colour, marker) in looks(row["model"] for row in known).items():
-        points = sorted((row for row in known if row["model"] == model and _finite(row.get(score))),
+        points = sorted((row for row in known if row["model"] == model and _shown(row.get(score))),
                         key=lambda row: row[score])
         for axes, (column, _, scale) in zip(grid, COSTS):
-            x, y = [scale * row[column] for row in points], [factor * row[score] for row in points]
+            there = [row for row in points if _shown(row.get(column))]
+            x, y = [scale * row[column] for row in there], [factor * row[score] for row in there]
             axes.plot(x, y, marker, color=colour, markersize=3, alpha=0.6, markeredgewidth=0)
             axes.plot(x[:1], y[:1], marker, color=colour, markersize=6, label=model)
-            _cross_out(axes, [scale * row[column] for row in lost if row["model"] == model], colour)
-    for axes, (_, label, _) in zip(grid, COSTS):
-        axes.set(xscale="log", yscale="log", xlabel=label)
-        _sparse(axes.xaxis, *axes.get_xlim())
-    _sparse(grid[0].yaxis, *grid[0].get_ylim())
+            _cross_out(axes, [scale * row[column] for row in lost
+                              if row["model"] == model and _shown(row.get(column))], colour)
+    some = any(_shown(row.get(score)) for row in known)
+    for axes, (column, label, _) in zip(grid, COSTS):
+        axes.set_xlabel(label)
+        _logarithmic(axes, "x", any(_shown(row.get(column)) for row in known))
+        _logarithmic(axes, "y", some)
     grid[0].set_ylabel(f"{score.replace('_', ', ')} ({unit})")
     _legend(figure, grid[0], bool(lost))
     return figure
@@ -76,7 +79,7 @@ def trend(rows: Sequence[Mapping], axis: str, label: str, scale: float = 1.0) ->
     for model, (colour, marker) in looks(row["model"] for row in rows).items():
         baseline = model in ("persistence", "constant velocity")
         for axes, score in zip(grid, SCORES):
-            at = {scale * value: [row[score] if _finite(row.get(score)) else math.inf for row in rows
+            at = {scale * value: [row[score] if _shown(row.get(score)) else math.inf for row in rows
                                   if row["model"] == model and row[axis] == value] for value in values}
             at = {value: MM * np.array(found) for value, found in at.items() if found}
             middle = np.array([np.median(found) for found in at.values()])
@@ -89,9 +92,9 @@ def trend(rows: Sequence[Mapping], axis: str, label: str, scale: float = 1.0) ->
             _cross_out(axes, lost, colour)
             anything_lost |= bool(lost)
     for axes, score in zip(grid, SCORES):
-        axes.set(yscale="log", title=score, xlabel=label)
+        axes.set(title=score, xlabel=label)
         _spread(axes, scale * np.array(values))
-        _sparse(axes.yaxis, *axes.get_ylim())
+        _logarithmic(axes, "y", any(_shown(row.get(score)) for row in rows))
     grid[0].set_ylabel("mean RMSE (mm)")
     _legend(figure, grid[0], anything_lost)
     return figure
@@ -152,6 +155,16 @@ def _spread(axes, values: np.ndarray) -> None:
         axes.xaxis.set_minor_formatter(NullFormatter())
 
 
+def _logarithmic(axes, which: str, anything: bool) -> None:
+    """A logarithmic axis with few ticks; without anything to show, one without ticks."""
+    axis = getattr(axes, f"{which}axis")
+    if not anything:
+        axis.set_major_locator(NullLocator())
+        return
+    axes.set(**{f"{which}scale": "log"})
+    _sparse(axis, *axis.get_view_interval())
+
+
 def _sparse(axis, low: float, high: float) -> None:
     """Two ticks or more with plain numbers on a logarithmic axis: decades, else 1, 2, 5, else three in between."""
     decades = 10.0 ** np.arange(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
@@ -171,9 +184,12 @@ def _legend(figure: Figure, axes, lost: bool) -> None:
     if lost:
         handles.append(Line2D([], [], color="#333333", **LOST))
         labels.append("some or all diverge")
+    if not labels:
+        return
     rows = math.ceil(len(labels) * 1.25 / figure.get_figwidth())
     figure.legend(handles, labels, loc="outside upper center", ncols=math.ceil(len(labels) / rows))
 
 
-def _finite(value) -> bool:
-    return isinstance(value, (int, float)) and math.isfinite(value)
+def _shown(value) -> bool:
+    """Whether a logarithmic axis has a place for it."""
+    return isinstance(value, (int, float)) and math.isfinite(value) and value > 0

@@ -1,19 +1,45 @@
-"""Fitted models as checkpoint files: save, load, and check whether a run can be resumed."""
+"""Fitted models as checkpoint files: save and load."""
 
 from __future__ import annotations
 
-import os
+import io
+import zipfile
 from pathlib import Path
 
 import torch
+from lightning.fabric.plugins import CheckpointIO
 
+from ssmr_torch import checksum
 from ssmr_torch.deployment.checkpoint_copy import save_twin
 from ssmr_torch.fitting.lightning_fit import description
-from ssmr_torch.lazy import found
 from ssmr_torch.models.base import Model
 from ssmr_torch.models.torch_model import TorchModel
+from ssmr_torch.named_classes import class_named
+from ssmr_torch.result_files import save_bytes
 
-DECISIVE = ("data", "outputs", "model", "module", "seed")
+FORMAT = "ssmr_torch checkpoint 2"
+BEFORE = "ssmr_torch checkpoint 1"  # of versions up to 0.11, without a checksum; they do not name it
+
+
+class Checkpoints(CheckpointIO):
+    """How Lightning writes and reads the checkpoints of a fit: aside, with a checksum, then renamed; of plain values
+    only.
+    """
+
+    def save_checkpoint(self, checkpoint: dict, path, storage_options=None) -> None:
+        save_bytes(Path(path), packed(checkpoint), sealed=True)
+
+    def load_checkpoint(self, path, map_location=None, weights_only: bool | None = True) -> dict:
+        return load_plain(path)
+
+    def remove_checkpoint(self, path) -> None:
+        Path(path).unlink(missing_ok=True)
+
+
+def packed(content: dict) -> bytes:
+    """The bytes of a checkpoint file. They are made in memory: Torch ends the process where a disk is full."""
+    torch.save({"format": FORMAT, **content}, memory := io.BytesIO())
+    return memory.getvalue()
 
 
 def save_model(path: Path, model: TorchModel, card: dict) -> Path:
@@ -21,10 +47,8 @@ def save_model(path: Path, model: TorchModel, card: dict) -> Path:
     `save_twin`.
     """
     # every process of a distributed run writes the same content
-    aside = path.with_name(f"{path.name}.{os.getpid()}.part")
-    torch.save({"model": description(model), "card": card,
-                "state_dict": {f"model.{name}": value for name, value in model.state_dict().items()}}, aside)
-    os.replace(aside, path)
+    save_bytes(path, packed({"model": description(model), "card": card, "state_dict": {
+        f"model.{name}": value for name, value in model.state_dict().items()}}), sealed=True)
     save_twin(path, model.reduced.numpy(), card)
     return path
 
@@ -36,57 +60,46 @@ def load_model(checkpoint: str | Path) -> tuple[TorchModel, dict]:
     """
     if not Path(checkpoint).is_file():
         raise FileNotFoundError(f"there is no checkpoint at {checkpoint}; ssmr train prints the path of its checkpoint")
-    try:
-        stored = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises many types of errors here, and its message advises unsafe loading
-        raise ValueError(f"{checkpoint} cannot be read as a checkpoint of plain values; expected one written by "
-                         "ssmr train") from error
+    stored = load_plain(checkpoint)
     try:
         module, _, name = stored["model"]["class"].rpartition(".")
-        kind = found(f"{module}:{name}")
-        if not (isinstance(kind, type) and issubclass(kind, TorchModel)):
-            raise ValueError(f"its class is {stored['model']['class']!r}, which is not a model class")
+        kind = class_named(f"{module}:{name}", TorchModel)
         model = kind(**stored["model"]["arguments"])
         model.load_state_dict({key.removeprefix("model."): value for key, value in stored["state_dict"].items()
                                if key.startswith("model.")})
         return model, stored["card"]
-    except (LookupError, TypeError, ValueError, RuntimeError, ImportError, AttributeError) as error:
+    except (LookupError, TypeError, ValueError, RuntimeError, ImportError, AttributeError, ArithmeticError,
+            MemoryError) as error:
         raise ValueError(f"{checkpoint} holds no model of this package ({error}); expected one written by "
                          "ssmr train") from error
+
+
+def load_plain(checkpoint: str | Path) -> dict:
+    """What a checkpoint file holds. Raises ValueError where that is not plain values alone, and `checksum.Damaged`,
+    which is one, for a damaged file.
+    """
+    sealed = checksum.check(checkpoint) is not None
+    try:
+        _refuse_compressed(checkpoint)
+        content = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises many types of errors here, and its message advises unsafe loading
+        raise ValueError(f"{checkpoint} cannot be read as a checkpoint of plain values; expected one written by "
+                         "ssmr train") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{checkpoint} holds a {type(content).__name__}; expected one written by ssmr train")
+    checksum.refuse_unsealed(checkpoint, sealed, content.get("format", BEFORE), BEFORE)
+    return content
+
+
+def _refuse_compressed(checkpoint: str | Path) -> None:
+    """Raises ValueError for an archive that would be larger in memory than it is; Torch writes none."""
+    with zipfile.ZipFile(checkpoint) as archive:
+        size = sum(record.file_size for record in archive.infolist())
+    if size > Path(checkpoint).stat().st_size:
+        raise ValueError(f"{checkpoint} holds {size} bytes in {Path(checkpoint).stat().st_size}")
 
 
 def load_arrays(checkpoint: str | Path) -> tuple[Model, dict]:
     """The model of a checkpoint as arrays, as an artifact holds it, and the card; errors as of `load_model`."""
     model, card = load_model(checkpoint)
     return model.reduced.numpy(), card
-
-
-def check_resumable(directory: Path, steps: tuple[str, ...], origin: dict) -> None:
-    """Check that the fits `steps` can continue from the checkpoints below `directory` with this configuration.
-
-    Raises ValueError if there are no checkpoints, or if data, model, module, seed or the fit were configured
-    differently. The message names the first difference with both values.
-    """
-    begun = [step for step in steps if (directory / step / "last.ckpt").is_file()]
-    if not begun:
-        raise ValueError(f"resume=true, but there are no checkpoints below {directory}; give the directory of the run "
-                         "to continue as hydra.run.dir")
-    now = origin.get("configuration", {})
-    for step in begun:
-        then = load_model(directory / step / "last.ckpt")[1].get("training", {}).get("configuration", {})
-        pairs = [(name, then.get(name), now.get(name)) for name in DECISIVE]
-        pairs.append((f"fit.{step}", then.get("fit", {}).get(step), now.get("fit", {}).get(step)))
-        for name, old, new in pairs:
-            if old != new:
-                key, old, new = _difference(name, old, new)
-                raise ValueError(f"the run in {directory.parent} was started with {key}={old}, but now it is {new}; "
-                                 "resume it with the old value, or start a new run")
-
-
-def _difference(name: str, old, new) -> tuple:
-    """The first key in which two configurations differ, and both values."""
-    if isinstance(old, dict) and isinstance(new, dict):
-        for key in sorted(old.keys() | new.keys()):
-            if old.get(key) != new.get(key):
-                return _difference(f"{name}.{key}", old.get(key), new.get(key))
-    return name, old, new

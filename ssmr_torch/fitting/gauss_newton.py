@@ -84,6 +84,13 @@ class LevenbergMarquardt(torch.optim.Optimizer):
         self._gradient.zero_()
         return self.cost
 
+    def state_dict(self) -> dict:
+        return super().state_dict() | {"damping": self.damping, "cost": self.cost, "gain": self.gain}
+
+    def load_state_dict(self, state: dict) -> None:
+        super().load_state_dict(state)
+        self.damping, self.cost, self.gain = state["damping"], state["cost"], state["gain"]
+
     def _put(self, values: Tensor) -> None:
         for table, part in zip(self.tables, torch.split(values, [table.numel() for table in self.tables])):
             table.copy_(part.view_as(table))
@@ -110,6 +117,7 @@ class GaussNewtonFit(ModelFit):
     """
 
     selects, monitor = True, "validation/guarded"
+    kept = ("repairs", "_weights", "_room", "_last_gain", "_stress")
 
     def __init__(self, model: TorchModel, *, epochs: int = 15, starts: int = 400, horizon: float = 1.0,
                  samples: int = 10, trained: Sequence[str] = ("dynamics",), damping: float = 1e-2,
@@ -130,6 +138,8 @@ class GaussNewtonFit(ModelFit):
         self.repairs: dict[str, float] = {}
         self._batches: list[RolloutBatch] = []
         self._last_gain, self._stress = 1.0, 1.0
+        self._weights: Tensor | None = None
+        self._room: Tensor | None = None
 
     def configure_optimizers(self) -> LevenbergMarquardt:
         return LevenbergMarquardt(self.model.parameters(), coefficients(self.model, self.trained), self.damping,
@@ -141,8 +151,7 @@ class GaussNewtonFit(ModelFit):
         module = self.trainer.datamodule
         return StabilityGuard(module.training, transient=module.transient, **self.settings)
 
-    def on_fit_start(self) -> None:
-        super().on_fit_start()
+    def begin(self) -> None:
         if self.trainer.world_size > 1:
             raise ValueError(f"{self.trainer.world_size} processes; a Gauss-Newton fit runs in one, use trainer=cpu or "
                              "trainer=gpu")
@@ -150,7 +159,6 @@ class GaussNewtonFit(ModelFit):
         self.repairs = {"eigenvalues moved": float(moved)} if moved else {}
         if self.guard.diverging(self.model) > LOST:
             self.repairs |= self.guard.enforce(self.model)
-        self._weights: Tensor | None = None
 
     @torch.no_grad()
     def training_step(self, batch: RolloutBatch, index: int) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from time import process_time
 
 import torch
 from torch import Tensor
@@ -33,7 +32,7 @@ class GradientFit(ModelFit):
     Raises ValueError for settings out of range, and at its start for a model that was not fitted before.
     """
 
-    selects = True
+    selects, kept = True, ("_start_power", "_best", "_waited")
 
     def __init__(self, model: TorchModel, *, epochs: int = 20, learning_rate: float = 3e-4,
                  frozen: Sequence[str] = ("chart", "parametrization"), gradient_clip: float = 1.0,
@@ -55,7 +54,6 @@ class GradientFit(ModelFit):
         self.patience, self.minutes = patience, minutes
         if horizon is not None:
             self.horizon = float(horizon)
-        self._begun: float | None = None
         self._best, self._waited = float("inf"), 0
         self._start_power: Tensor | None = None
         for name, parameter in known.items():
@@ -70,14 +68,16 @@ class GradientFit(ModelFit):
             optimizer, lambda epoch: 0.5 * (1 + math.cos(math.pi * self._progress(epoch))))
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "epoch"}}
 
-    def on_fit_start(self) -> None:
-        super().on_fit_start()
+    def begin(self) -> None:
         if self.model.state_scale.isinf().any():
             raise ValueError("this model was not fitted yet, so the range of its training states is not known; run its "
                              "closed-form fit before the gradient fit, as fit=rollout and fit=neural_ode do")
 
     def on_train_start(self) -> None:
-        self._begun = process_time()
+        for scheduled in self.trainer.lr_scheduler_configs:
+            # Lightning keeps an epoch before it moves the schedule on
+            while scheduled.scheduler.last_epoch < self.current_epoch:
+                scheduled.scheduler.step()
 
     def training_step(self, batch: RolloutBatch, index: int) -> Tensor:
         if self._start_power is None:
@@ -98,8 +98,8 @@ class GradientFit(ModelFit):
     def _progress(self, epoch: int) -> float:
         """Share of the fit that is done: of its epochs or of its minutes, whichever is larger."""
         share = epoch / self.epochs
-        if self.minutes is not None and self._begun is not None:
-            share = max(share, (process_time() - self._begun) / (60 * self.minutes))
+        if self.minutes is not None:
+            share = max(share, self.spent / (60 * self.minutes))
         return min(share, 1.0)
 
     def _shortened(self, batch: RolloutBatch) -> RolloutBatch:
@@ -108,7 +108,7 @@ class GradientFit(ModelFit):
         return RolloutBatch(batch.window, batch.window_inputs, batch.inputs[:, :steps], batch.outputs[:, :steps])
 
     def on_train_batch_end(self, outputs, batch: RolloutBatch, index: int) -> None:
-        late = self.minutes is not None and process_time() - self._begun > 60 * self.minutes
+        late = self.minutes is not None and self.spent > 60 * self.minutes
         self._stop_where(late)
 
     def on_validation_epoch_end(self) -> None:
@@ -129,11 +129,3 @@ class GradientFit(ModelFit):
         """Clip the gradient with respect to the scaled coefficients, because their sizes are comparable."""
         optimizer = getattr(optimizer, "optimizer", optimizer)
         optimizer.clip(self.gradient_clip)
-
-    def on_save_checkpoint(self, checkpoint: dict) -> None:
-        super().on_save_checkpoint(checkpoint)
-        checkpoint["gradient_fit"] = {"start_power": self._start_power, "best": self._best, "waited": self._waited}
-
-    def on_load_checkpoint(self, checkpoint: dict) -> None:
-        kept = checkpoint["gradient_fit"]
-        self._start_power, self._best, self._waited = kept["start_power"], kept["best"], kept["waited"]

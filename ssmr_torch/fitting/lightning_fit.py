@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from time import process_time
 
 import lightning
+import numpy as np
 import torch
 from torch import Tensor, distributed
 from torch.utils.data import DistributedSampler
@@ -24,6 +26,15 @@ def description(model: TorchModel) -> dict:
     return {"class": f"{kind.__module__}.{kind.__qualname__}", "arguments": model.arguments}
 
 
+def plain(value):
+    """A value as a checkpoint holds it: NumPy values and tuples are converted, tensors stay."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {key: plain(each) for key, each in value.items()}
+    return [plain(each) for each in value] if isinstance(value, (tuple, list)) else value
+
+
 class ModelFit(lightning.LightningModule):
     """Holds a model while it is fitted. The validation and test scores are computed the same way for every model.
 
@@ -35,22 +46,60 @@ class ModelFit(lightning.LightningModule):
     real robot stays finite under them.
     selects: whether the fit keeps its best epoch by `monitor`, a validation score, and is undone if no epoch is better
     than its start. Otherwise the last epoch is kept.
+    kept: names of the attributes, plain values and tensors, with which a fit that is resumed goes on as if it had not
+    been interrupted. Parameters, the optimizer and the random numbers are kept as well.
     """
 
     selects, monitor = False, "validation/rmse"
     overdrive, overspeed = 1.0, 1
+    kept: tuple[str, ...] = ()
 
     def __init__(self, model: TorchModel):
         super().__init__()
         self.model = model
         self.card: dict = {}
+        self._random: Tensor | None = None  # state of the generator after the last epoch that was kept
+        self._spent, self._begun = 0.0, None
+
+    def begin(self) -> None:
+        """What a fit does first, and not again where it is resumed."""
 
     def on_fit_start(self) -> None:
         self.double()
+        self._begun = process_time()
+        if self._random is None:
+            self.begin()
+        else:
+            torch.set_rng_state(self._random)
+
+    @property
+    def spent(self) -> float:
+        """CPU time of this fit so far, s, with that before it was interrupted."""
+        return self._spent + (0.0 if self._begun is None else process_time() - self._begun)
+
+    def pause(self) -> None:
+        """The fit has ended: what follows is not its time."""
+        self._spent, self._begun = self.spent, None
 
     def on_save_checkpoint(self, checkpoint: dict) -> None:
         checkpoint["model"] = description(self.model)
         checkpoint["card"] = self.card
+        checkpoint["fit"] = {
+            "kept": plain({name: getattr(self, name) for name in self.kept}), "random": torch.get_rng_state(),
+            "spent": self.spent, "finished": self.trainer.should_stop or self.current_epoch + 1 >= self.epochs}
+
+    def on_load_checkpoint(self, checkpoint: dict) -> None:
+        found = checkpoint["fit"]
+        for name, value in found["kept"].items():
+            setattr(self, name, value)
+        self._random, self._spent = found["random"], found["spent"]
+
+    def take(self, checkpoint: dict) -> None:
+        """Be as after the fit that ended with this checkpoint."""
+        self.double()
+        self.on_load_checkpoint(checkpoint)
+        self.load_state_dict(checkpoint["state_dict"])
+        torch.set_rng_state(self._random)
 
     def validation_step(self, scored: ScoredRuns, index: int) -> None:
         values = scores(self.model, scored)
@@ -77,6 +126,8 @@ class LeastSquaresFit(ModelFit):
     cross-validation; parts are trajectories, or contiguous pieces of long trajectories.
     `solutions` keeps the solutions for the report of the fit.
     """
+
+    kept = ("solutions",)
 
     def __init__(self, procedure: LeastSquaresModel, ridge: float | Sequence | dict = 0.0, folds: int = 5,
                  penalty: str = "ridge"):
@@ -154,10 +205,3 @@ class LeastSquaresFit(ModelFit):
                 "condition": solution.condition, "ridge": solution.ridge, "relative_residual": solution.residual,
                 "cross_validation": {f"{ridge:g}": error for ridge, error in solution.validation.items()}}
             self.log(f"fit/{name}_residual", solution.residual)
-
-    def on_save_checkpoint(self, checkpoint: dict) -> None:
-        super().on_save_checkpoint(checkpoint)
-        checkpoint["solutions"] = self.solutions
-
-    def on_load_checkpoint(self, checkpoint: dict) -> None:
-        self.solutions = checkpoint["solutions"]

@@ -25,7 +25,7 @@ class SelectionFit(ModelFit):
     Raises ValueError for outputs that the data do not have, or data without controlled runs, before any work.
     """
 
-    epochs = 1
+    epochs, kept = 1, ("found", "facts")
 
     @configurable(SelectionSettings, given=("settings",))
     def __init__(self, model: SlowFast, settings: SelectionSettings | None = None, *, progress: bool = True, **changes):
@@ -90,6 +90,7 @@ class SelectionFit(ModelFit):
         return run.observation[::stride][:steps], run.input[:steps * stride].reshape(steps, stride, -1).mean(axis=1)
 
     def on_load_checkpoint(self, checkpoint: dict) -> None:
+        super().on_load_checkpoint(checkpoint)
         again = SlowFast(**checkpoint["model"]["arguments"])
         with torch.no_grad():
             self.model.take(again.reduced.numpy())

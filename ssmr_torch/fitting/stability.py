@@ -166,7 +166,7 @@ class GuardFit(ModelFit):
     It takes one epoch without training. The validation after it scores the repaired model.
     """
 
-    epochs, starts = 1, 1
+    epochs, starts, kept = 1, 1, ("repairs",)
 
     def __init__(self, model: TorchModel, *, margin: float = 0.05, reach: float = 3.0,
                  overdrive: float = 1.25):

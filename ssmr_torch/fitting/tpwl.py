@@ -143,7 +143,7 @@ class TPWLFit(ModelFit):
     remarks: sentences for the report. `solutions` stays empty, because there are no regressions.
     """
 
-    epochs = 1
+    epochs, kept = 1, ("remarks",)
 
     @configurable(PlantLinearization)
     def __init__(self, model: TPWL, *, plant: FiniteElementRobot | None = None, **options):
@@ -184,6 +184,7 @@ class TPWLFit(ModelFit):
         fill([(getattr(self.model, name), values) for name, values in tables.items()])
 
     def on_load_checkpoint(self, checkpoint: dict) -> None:
+        super().on_load_checkpoint(checkpoint)
         sizes = checkpoint["model"]["arguments"]
         self.model.resize(sizes["modes"], sizes["points"], sizes["width"])
 

@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter, process_time
+from time import perf_counter
 from types import MappingProxyType
 
 import lightning
 import numpy as np
 import torch
 from lightning.pytorch.callbacks import ModelCheckpoint
+from lightning.pytorch.utilities import rank_zero_only
 
 from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.data.derivatives import Stencil
 from ssmr_torch.data.refusals import refuse_still_inputs
-from ssmr_torch.fitting.checkpoints import check_resumable, load_model, save_model
+from ssmr_torch.fitting import resumption
+from ssmr_torch.fitting.checkpoints import Checkpoints, load_model, load_plain, save_model
 from ssmr_torch.fitting.constructor_checks import check_call, default_of, sized_model
 from ssmr_torch.fitting.fit_warnings import diagnose
 from ssmr_torch.fitting.koopman_least_squares import KoopmanLeastSquares
@@ -44,7 +46,7 @@ SCALES = ("state_scale", "scale")  # buffers that hold the range of the data; th
 class Training:
     """A fitted model, its checkpoint, the scores of validation and test (m), its cost, and the report of each fit.
 
-    cost: see `cost_of`; also fit_time, the CPU seconds of this process for the fits, without the scores after them.
+    cost: see `cost_of`; also fit_time, the CPU seconds for the fits, without the scores after them.
     """
 
     model: TorchModel
@@ -116,9 +118,9 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., TorchModel],
     dataset by keyword. trainer takes the settings `TRAINER` of Lightning's trainer.
     Checkpoints go to directory/checkpoints/FIT: the one with the best validation error for a refinement, the last one
     for a closed-form fit. A refinement that does not lower the validation error is undone. A fit with 0 epochs is left
-    out. The fitted model goes to directory/model.ckpt. resume: continue from existing checkpoints. origin: provenance
-    of this training with its configuration; it is stored in the checkpoints, and resuming with another configuration is
-    refused.
+    out. The fitted model goes to directory/model.ckpt. origin: provenance of this training with its configuration; it
+    is stored in the checkpoints. resume: continue from existing checkpoints, with the result of a training that was not
+    interrupted; other data, another configuration and another version are refused, see `resumption`.
     Raises ValueError for data or options that cannot be fitted, before any work.
     """
     directory = Path(directory)
@@ -130,17 +132,22 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., TorchModel],
     prepared = module(dataset=dataset)
     reduced = sized_model(model, dataset, prepared)
     card = data_card(dataset, prepared.training) | {"name": name, "training": origin or {}}
+    folder, begun = directory / "checkpoints", False
+    decisive = resumption.fingerprint(dataset, card["training"].get("configuration", {}))
     if resume:
-        check_resumable(directory / "checkpoints", tuple(fits), card["training"])
+        resumption.go_on(folder, tuple(fits), decisive)
     scores, report, fit_time = {}, {}, 0.0
     for step, build in fits.items():
         fit = build(reduced)
         if fit.epochs == 0:
             continue
         fit.card, fit.overdrive, fit.overspeed = card, prepared.overdrive, prepared.overspeed
-        scores, undone, duration = _run(fit, prepared.prepare(fit), trainer, directory / "checkpoints" / step, loggers,
-                                        resume)
-        fit_time += duration
+        prepared.prepare(fit)
+        if not (begun or resume) and rank_zero_only.rank == 0:
+            resumption.begin(folder, decisive)  # here, as a refusal leaves what an earlier run has made
+        begun = True
+        scores, undone = _run(fit, prepared, trainer, folder / step, loggers, resume)
+        fit_time += fit.spent
         report[step] = diagnose(fit, prepared.training, prepared.transient)
         report[step]["warnings"] += [undone] if undone else []
     cost = cost_of(reduced, prepared) | {"fit_time": fit_time}
@@ -182,22 +189,27 @@ def data_card(dataset: TrajectoryDataset, training: tuple) -> dict:
 
 
 def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, directory: Path, loggers,
-         resume: bool) -> tuple[dict[str, float], str, float]:
-    """Scores of the fitted model, a sentence if the fit was undone, and the CPU time of the fit, s."""
+         resume: bool) -> tuple[dict[str, float], str]:
+    """Scores of the fitted model, and a sentence if the fit was undone."""
     validated = bool(module.validation)
     keep = ModelCheckpoint(dirpath=directory, filename="best", save_last=True, enable_version_counter=False,
                            monitor=fit.monitor if validated and fit.selects else None,
                            save_on_train_epoch_end=not fit.selects or None)
     trainer = build_trainer(max_epochs=fit.epochs, callbacks=[keep], logger=loggers, num_sanity_val_steps=0,
                             check_val_every_n_epoch=1 if fit.selects else fit.epochs + 1)  # it is scored below
-    last = directory / "last.ckpt"
+    trainer.strategy.checkpoint_io = Checkpoints()
+    last = directory / resumption.LAST
     before = {name: value.clone() for name, value in fit.model.state_dict().items()}
     bar = None
     if fit.selects and validated:
         bar = trainer.validate(fit, module, verbose=False)[0][fit.monitor]
-    begun = process_time()
-    trainer.fit(fit, module, ckpt_path=str(last) if resume and last.is_file() else None, weights_only=True)
-    duration = process_time() - begun
+    kept = load_plain(last) if resume and last.is_file() else None
+    if kept is not None and kept["fit"]["finished"]:
+        fit.take(kept)
+        keep.load_state_dict(kept["callbacks"][keep.state_key])
+    else:
+        trainer.fit(fit, module, ckpt_path=None if kept is None else str(last), weights_only=True)
+        fit.pause()
     best = float("nan") if bar is None else float(keep.best_model_score)
     improved = bar is None or best <= bar
     fit.model.load_state_dict(load_model(keep.best_model_path or last)[0].state_dict() if improved else before)
@@ -207,4 +219,4 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
             scores |= run(fit, module, verbose=False)[0]
     undone = "" if improved else (f"The refinement was undone: its best validation error, {1e3 * best:.4g} mm, is not "
                                   f"below that of the model before it, {1e3 * bar:.4g} mm.")
-    return {name: float(value) for name, value in scores.items()}, undone, duration
+    return {name: float(value) for name, value in scores.items()}, undone

@@ -10,6 +10,7 @@ import lightning
 from lightning.pytorch.utilities import rank_zero_only
 
 from ssmr_torch.evaluation.study import score_runs
+from ssmr_torch.fitting.resumption import was_begun
 from ssmr_torch.fitting.training import Training, train
 from ssmr_torch.provenance import provenance
 from ssmr_torch.result_files import save_json
@@ -33,12 +34,14 @@ class TrainingRun:
 
 def run_training(dataset: TrajectoryDataset, configuration: Mapping, *, kind: str, model: Callable, module: Callable,
                  fits: Mapping[str, Callable], trainer: Callable, loggers: Sequence, directory: Path,
-                 study: TrajectoryDataset | None = None, searched: bool = False) -> TrainingRun | None:
+                 study: TrajectoryDataset | None = None, searched: bool = False,
+                 several: bool = False) -> TrainingRun | None:
     """Train, and write report.json, figures and what `train` writes; None in all processes but the first one.
 
     configuration: plain values of conf/train.yaml: name, metric, seed, resume, figures, module.starts, and all else for
     the provenance.   kind: of the model, an option of conf/model.   model, module, fits, trainer: see `train`.
     study: whose controlled runs are scored one by one.   searched: whether a search compares the scores.
+    several: whether it is one of several jobs, of which resume=true starts those that had not begun.
     Raises ValueError for a metric that is none of the scores of validation, before the training where it is a test's.
     """
     name, metric, seed = (configuration[key] for key in ("name", "metric", "seed"))
@@ -47,11 +50,12 @@ def run_training(dataset: TrajectoryDataset, configuration: Mapping, *, kind: st
     lightning.seed_everything(seed, workers=True, verbose=False)
     further = () if study is None else study.observing(dataset.output_names).select(kind="controlled")
     origin = provenance(configuration) | {"name": name, "kind": kind}
+    resume = configuration["resume"] and (not several or was_begun(directory / "checkpoints"))
     try:
         for logger in loggers:
             logger.log_hyperparams(configuration)
         training = train(dataset, model=model, module=module, fits=fits, trainer=trainer, directory=directory,
-                         name=name, loggers=loggers, resume=configuration["resume"], origin=origin)
+                         name=name, loggers=loggers, resume=resume, origin=origin)
         if rank_zero_only.rank > 0:
             return None
     finally:

@@ -19,6 +19,7 @@ from ssmr_torch import data_sheet as sheet
 from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.models.arrays import Array, namespace
 from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
+from ssmr_torch.models.sizes import check_sizes
 
 
 class Linearization(NamedTuple):
@@ -237,18 +238,6 @@ class Model(DataSheet, ABC):
     def divergence_bound(self) -> Array:
         """‖z‖ beyond which a rollout has diverged, `DIVERGENCE_FACTOR` ‖state_scale‖."""
         return DIVERGENCE_FACTOR * _norm(namespace(self.state_scale), self.state_scale)
-
-
-def check_sizes(state_dim: int, input_dim: int, output_dim: int, delays: int, timestep: float,
-                window_timestep: float) -> None:
-    """Check the sizes and times (s) of a model. Raises ValueError for those that no model can have, see `Model`."""
-    for name, size in (("state_dim", state_dim), ("input_dim", input_dim), ("output_dim", output_dim)):
-        if int(size) != size or size < 1:
-            raise ValueError(f"{name} is {size}; expected a positive integer")
-    if int(delays) != delays or delays < 0:
-        raise ValueError(f"delays is {delays}; expected a whole number, 0 or more (a window holds delays + 1 samples)")
-    if not (0 < timestep < np.inf and 0 < window_timestep < np.inf):
-        raise ValueError(f"timestep {timestep} s and window_timestep {window_timestep} s must be positive and finite")
 
 
 def around(following: Array, A: Array, B: Array, z: Array, u: Array) -> Linearization:

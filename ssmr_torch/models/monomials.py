@@ -12,10 +12,14 @@ import numpy as np
 
 from ssmr_torch.models.arrays import Array, like, namespace
 
+HIGHEST = 30  # degree of a monomial
+MOST = 50_000  # monomials, together with all their divisors
+
 
 def count_monomials(variables: int, lowest: int, highest: int) -> int:
     """Number of monomials of `variables` variables with lowest ≤ degree ≤ highest."""
-    return sum(comb(variables + degree - 1, degree) for degree in range(lowest, highest + 1))
+    return comb(variables + highest, highest) - (comb(variables + lowest - 1, lowest - 1) if lowest else 0) \
+        if highest >= lowest else 0
 
 
 class Derivative(NamedTuple):
@@ -55,6 +59,9 @@ class Monomials:
         if len(set(self.factors)) < len(self.factors):
             twice = next(row for row in self.factors if self.factors.count(row) > 1)
             raise ValueError(f"the monomial with the factors {twice} is given twice; give each once")
+        if len(self.factors) > MOST or max(map(len, self.factors), default=0) > HIGHEST:
+            raise ValueError(f"{len(self.factors)} monomials, up to the degree {max(map(len, self.factors))}; expected "
+                             f"at most {MOST} of a degree of at most {HIGHEST}")
         self._grade()
 
     def _grade(self) -> None:
@@ -66,6 +73,9 @@ class Monomials:
             below = graded.setdefault(degree - 1, set())
             for row in graded.get(degree, ()):
                 below.update(row[:k] + row[k + 1:] for k in range(degree))
+                if len(below) > MOST:
+                    raise ValueError(f"monomials with more than {MOST} divisors of the degree {degree - 1}; expected "
+                                     "monomials of a lower degree")
         self.closure = [row for degree in range(highest + 1) for row in sorted(graded[degree])]
         self._position = {row: position for position, row in enumerate(self.closure)}
         self.levels = []
@@ -232,5 +242,9 @@ def graded(variables: int, lowest: int, highest: int) -> Monomials:
     if variables < 1 or lowest < 0:
         raise ValueError(f"monomials of {variables} variables with lowest degree {lowest}; "
                          "expected at least 1 variable and a lowest degree of at least 0")
+    if highest > HIGHEST or (count := count_monomials(variables, lowest, highest)) > MOST:
+        many = f"{count} monomials" if highest <= HIGHEST else "more monomials than can be counted"
+        raise ValueError(f"a degree of {highest} in {variables} variables makes {many}; expected at most {MOST}, of a "
+                         f"degree of at most {HIGHEST}: lower the degree or the number of variables")
     return Monomials(variables, [factors for degree in range(lowest, highest + 1)
                                  for factors in combinations_with_replacement(range(variables), degree)])

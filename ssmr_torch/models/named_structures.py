@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 from ssmr_torch.models.arrays import Array, identity, namespace
-from ssmr_torch.models.monomials import Monomials, graded
+from ssmr_torch.models.monomials import MOST, Monomials, graded
 from ssmr_torch.models.polynomial import PolynomialModel, PregainModel
 from ssmr_torch.models.structure import Structure
 
@@ -49,6 +49,9 @@ def koopman_structure(input_dim: int, output_dim: int, delays: int, *, input_del
     """
     p, m, lowest = output_dim, input_dim, 0 if constant else 1
     window = (delays + 1) * p
+    if not 0 <= input_delays <= max(delays, 0) or window + input_delays * m > MOST:
+        raise ValueError(f"input_delays is {input_delays} with {delays} delays of {p} outputs; expected from 0 to "
+                         f"delays, and at most {MOST} values in a window")
     order = [k * p + i for k in range(delays, -1, -1) for i in range(p)]
     order += [window + k * m + i for k in range(delays - 1, delays - 1 - input_delays, -1) for i in range(m)]
     lifting = graded(len(order), lowest, degree)

@@ -9,6 +9,7 @@ from typing import ClassVar
 from ssmr_torch.models.arrays import Array, identity, namespace
 from ssmr_torch.models.base import Linearization, Model, OutputLinearization, around
 from ssmr_torch.models.integrators import rk4_linearization, rk4_step
+from ssmr_torch.models.sizes import check_steps
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -34,6 +35,10 @@ class NeuralModel(Model):
     biases: Array
     last: Array
     substeps: int = 1
+
+    def __post_init__(self):
+        super().__post_init__()
+        check_steps("substeps", self.substeps)
 
     @property
     def kind(self) -> str:

@@ -9,8 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ssmr_torch.lazy import found
 from ssmr_torch.models.arrays import Array, like, namespace
+from ssmr_torch.named_classes import class_named
 
 TERMS = 16  # number of terms of each power series; up to a = π, the first omitted term is below rounding
 TINY = 1e-37  # m², added to a lateral square: a chord straight back along the axis has no lateral direction
@@ -277,13 +277,13 @@ def coordinates_from_plain(plain: dict | None) -> OutputCoordinates | None:
         return None
     values = dict(plain)
     try:
-        family = found(values.pop("class"))
+        family = class_named(values.pop("class"), OutputCoordinates)
     except (ImportError, AttributeError) as error:
         raise ValueError(f"the class of output coordinates {plain['class']} is not found here ({error}); install the "
                          "package that has it, or put its module on the Python path") from error
-    if not (isinstance(family, type) and issubclass(family, OutputCoordinates)):
+    except TypeError as error:
         raise ValueError(f"{plain['class']} is not a class of output coordinates; expected a subclass of "
-                         f"{OutputCoordinates.__module__}.{OutputCoordinates.__name__}")
+                         f"{OutputCoordinates.__module__}.{OutputCoordinates.__name__}") from error
     return family.from_plain(values)
 
 

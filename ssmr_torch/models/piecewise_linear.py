@@ -12,6 +12,7 @@ from ssmr_torch.models.arrays import Array, namespace
 from ssmr_torch.models.base import Linearization, Model, OutputLinearization, around
 from ssmr_torch.models.integrators import map_linearization, repeated_map
 from ssmr_torch.models.kalman import Noise, filter_window
+from ssmr_torch.models.sizes import check_steps
 from ssmr_torch.periods import whole_multiple
 
 NEGLIGIBLE = 1e-17  # relative to the greatest weight: a hundred points below it change less than rounding does
@@ -49,7 +50,19 @@ class PiecewiseLinearModel(Model):
 
     def __post_init__(self):
         super().__post_init__()
-        _ = self.repeats, self.window_steps
+        self._check_shapes()
+        check_steps("the number of maps in one step", self.repeats)
+        check_steps("the number of maps in a window", max(1, self.delays) * self.window_steps)
+
+    def _check_shapes(self) -> None:
+        points, n, m, p = len(self.points), self.state_dim, self.input_dim, self.output_dim
+        expected = {"A": (points, n, n), "B": (points, n, m), "c": (points, n), "C": (p, n), "d": (p,), "mean": (n,),
+                    "covariance": (n, n), "process": (n, n), "measurement": (p, p)}
+        for name, shape in expected.items():
+            if tuple(getattr(self, name).shape) != shape:
+                raise ValueError(f"{name} has the shape {tuple(getattr(self, name).shape)}; expected {shape}")
+        if not 0 <= self.width < np.inf:
+            raise ValueError(f"width is {self.width}; expected a number, 0 or more")
 
     @property
     def kind(self) -> str:

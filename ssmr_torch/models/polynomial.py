@@ -14,6 +14,7 @@ from ssmr_torch.models.integrators import map_linearization, repeated_map, rk4_l
 from ssmr_torch.models.monomials import Form, on_device
 from ssmr_torch.models.output_coordinates import OutputCoordinates, coordinates_from_plain
 from ssmr_torch.models.saturation import saturated
+from ssmr_torch.models.sizes import check_steps
 from ssmr_torch.models.structure import Structure, shape_in_words
 from ssmr_torch.periods import whole_multiple
 
@@ -59,11 +60,10 @@ class PolynomialModel(Model):
         if scaled not in (0, seen):
             raise ValueError(f"window_scale has {scaled} entries; expected {seen}, one for each input of the chart, "
                              "or none")
-        if int(self.substeps) != self.substeps or self.substeps < 1:
-            raise ValueError(f"substeps is {self.substeps}; expected a whole number, 1 or more")
+        check_steps("substeps", self.substeps)
         if not self.flow and self.base_timestep is None:
             object.__setattr__(self, "base_timestep", self.timestep)
-        _ = self.repeats
+        check_steps("the number of maps in one step", self.repeats)
 
     def plain(self) -> dict:
         coordinates = None if self.coordinates is None else self.coordinates.plain()

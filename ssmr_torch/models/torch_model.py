@@ -11,8 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ssmr_torch.models.base import Linearization, Model, OutputLinearization, Rollout, check_sizes
+from ssmr_torch.models.base import Linearization, Model, OutputLinearization, Rollout
 from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.models.sizes import check_sizes
 from ssmr_torch.models.structure import Structure
 
 

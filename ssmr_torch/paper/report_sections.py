@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import fields
@@ -18,6 +17,7 @@ from ssmr_torch.paper.number_text import MM, MS, PERCENT, counted_runs, ordered,
 from ssmr_torch.paper.report_closed_loops import loop_parts, pareto_parts
 from ssmr_torch.paper.verdicts import REFERENCE, Results, Run, judge, loops, tally
 from ssmr_torch.report.html_page import Picture, Section, Table
+from ssmr_torch.result_files import read_json
 
 HORIZONS = ("50 ms", "200 ms", "1 s")
 BENCHES = ("emulated_bench", "recordings")  # the emulated one, and recordings of the real one
@@ -46,9 +46,9 @@ def read_results(directory: Path) -> Results:
     """runs.csv, models.csv, scores below open_loop and studies below delays, as far as they exist."""
     runs = [Run(**{field.name: row[field.name] for field in fields(Run)}) for row in _rows(directory / "runs.csv")]
     open_loop = {path.stem: {name: {part["label"]: part for part in score["horizons"]}
-                             for name, score in json.loads(path.read_text())["scores"].items()}
+                             for name, score in read_json(path)["scores"].items()}
                  for path in sorted(directory.glob("open_loop/*.json"))}
-    delays = {path.parent.name: json.loads(path.read_text())["rows"]
+    delays = {path.parent.name: read_json(path)["rows"]
               for path in sorted(directory.glob("delays/*/delays.json"))}
     return Results(runs, _rows(directory / "models.csv"), open_loop, delays)
 

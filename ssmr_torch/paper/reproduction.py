@@ -5,8 +5,6 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
-import signal
-import sys
 import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -37,7 +35,7 @@ def reproduce(plan: Plan, directory: Path, executor, groups: Sequence[str] = ())
         if find_spec(module) is None:
             raise ValueError(f"{module} is not installed: {install}")
     os.environ.update(SINGLE)
-    with _alone_in(directory) as turn, _ended_by_signals(), executor:
+    with _alone_in(directory) as turn, executor:
         def done(job: Job) -> dict:
             return executor.submit(perform, job, str(directory), turn, groups).result()
 
@@ -78,17 +76,3 @@ def _alone_in(directory: Path) -> Iterator[str]:
             (jobs / "turn").unlink()
             for left in (directory / "unfinished", jobs / "submitit"):
                 shutil.rmtree(left, ignore_errors=True)
-
-
-@contextmanager
-def _ended_by_signals() -> Iterator[None]:
-    """SIGINT and SIGTERM end the command with a sentence, and its executor with it."""
-    def end(*_):
-        sys.exit("reproduce: ended by a signal; the same command goes on")
-
-    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ssmr_torch.found_settings import in_words
 from ssmr_torch.paper.jobs import Job
-from ssmr_torch.result_files import save_csv
+from ssmr_torch.result_files import read_json, save_csv
 
 RUN_COLUMNS = ("figure", "robot", "method", "task", "seed", "period", "real_time", "ise", "rmse", "max_error",
                "violation_ratio", "max_violation", "solve_median", "solve_p99", "fallbacks", "record")
@@ -29,10 +28,6 @@ def write_tables(directory: Path, settings: Mapping, done: Sequence[Job]) -> Non
 def solve_times(directory: Path, done: Sequence[Job]) -> dict[str, float]:
     """s, 99 % of the solve times by name of the closed loop."""
     return {job.name: read_json(directory / job.product)["solve_time_p99"] for job in done if "period" in job.about}
-
-
-def read_json(path: Path) -> dict:
-    return json.loads(path.read_text())
 
 
 def _model(directory: Path, settings: Mapping, job: Job) -> dict:

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from ssmr_torch.recording_checks.delay import Delay, command_delay
-from ssmr_torch.recording_estimates.modes import Modes, slow_modes
 from ssmr_torch.recording_checks.noise import Noise, measurement_noise
+from ssmr_torch.recording_estimates.modes import Modes, slow_modes
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 

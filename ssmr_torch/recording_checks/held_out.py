@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ssmr_torch.recording_faults.copies import equal_pairs, is_copied, shared_rows
 from ssmr_torch.recording_checks.context import Recorded
 from ssmr_torch.recording_checks.finding import GOOD, LOOK, MISSING, Finding
+from ssmr_torch.recording_faults.copies import equal_pairs, is_copied, shared_rows
 
 
 def held_out(recorded: Recorded) -> Finding:

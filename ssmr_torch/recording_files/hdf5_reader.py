@@ -7,6 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from ssmr_torch.hdf5_file import open_hdf5
 from ssmr_torch.recording_files.nested_arrays import leaf, tables_of
 from ssmr_torch.recording_files.table import Table
 
@@ -19,7 +20,7 @@ def read(path: Path) -> list[Table]:
     """The runs in an HDF5 (or NetCDF 4) file, see `nested_arrays.tables_of`.
 
     The attributes scale_factor, add_offset and _FillValue are applied, as NetCDF defines them; units is read. Links to
-    other files are not followed.
+    other files are refused (`hdf5_file.open_hdf5`).
     Raises ValueError for a damaged file and for one without an array of numbers.
     """
     with open_hdf5(path) as file:
@@ -27,14 +28,6 @@ def read(path: Path) -> list[Table]:
             return tables_of(_tree(file), FORMAT, path.name)
         except (OSError, RuntimeError) as error:
             raise ValueError(f"{path.name} cannot be read ({error}); copy or record it again") from error
-
-
-def open_hdf5(path: Path) -> h5py.File:
-    """The file, open for reading. Raises ValueError when it is truncated or damaged."""
-    try:
-        return h5py.File(path, "r")
-    except OSError as error:
-        raise ValueError(f"{path.name} cannot be read ({error}); copy or record it again") from error
 
 
 def _tree(group: h5py.Group, depth: int = 0) -> dict:

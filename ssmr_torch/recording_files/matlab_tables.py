@@ -7,8 +7,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from ssmr_torch.hdf5_file import open_hdf5
 from ssmr_torch.recording_files.foreign_files import is_hdf5
-from ssmr_torch.recording_files.hdf5_reader import open_hdf5
 from ssmr_torch.recording_files.nested_arrays import Leaf, leaf, tables_of
 from ssmr_torch.recording_files.table import Table
 

@@ -17,6 +17,7 @@ from ssmr_torch.evaluation.open_loop import OpenLoopScore
 from ssmr_torch.models.predictors import BASELINES
 from ssmr_torch.plants.emulated_rig import Rig
 from ssmr_torch.report.html_page import Picture, Section, Table
+from ssmr_torch.result_files import read_json
 
 # the number of colours for names without a fixed one
 PATHS_PER_FIGURE = len(figures.SPARE_COLOURS)
@@ -123,7 +124,7 @@ def closed_loop_section(records: Sequence[ClosedLoopRecord], picture: Picture | 
 
 def open_loop_section(path: Path) -> Section:
     """Tables and figures of one evaluation, with one table per group of runs."""
-    stored = json.loads(path.read_text())
+    stored = read_json(path)
     groups = stored.get("groups") or {}
     shown = groups if len(groups) > 1 else {"": stored["scores"]}
     split = ((stored.get("provenance") or {}).get("configuration") or {}).get("split")
@@ -167,7 +168,7 @@ def _marked(value: float | None, mark: str | None) -> float | str | None:
 
 def training_section(path: Path) -> Section:
     """Section about one training: scores, regressions, warnings, singular values, eigenvalues."""
-    stored = json.loads(path.read_text())
+    stored = read_json(path)
     fits = {key: value for key, value in stored.items() if key not in ("scores", "cost", "provenance")}
     scores = stored.get("scores") or {}
     errors = [_error(key.removesuffix("/rmse"), scores) for key in scores if key.endswith("/rmse")]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from datetime import date
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from omegaconf import OmegaConf
 
 from ssmr_torch import found_settings
 from ssmr_torch.renamed import kind_now
+from ssmr_torch.result_files import read_json
 
 SECTIONS = ("model", "fit", "derivative")  # of a training's configuration, that a search may set
 OF_A_CONTROLLER = "controller/"  # beginning of the options of search that search a controller
@@ -66,7 +66,7 @@ def model_settings(composed, overrides: list) -> dict:
 def controller_row(choices, composed, overrides: list) -> tuple[str, dict]:
     """The name of a controller's row, that of the kind of model in its artifact, and the row without how it was found.
     """
-    card = json.loads((Path(composed.artifact) / "card.json").read_text())
+    card = read_json(Path(composed.artifact) / "card.json")
     training = (card.get("provenance") or {}).get("training") or {}
     kind = kind_now(training.get("kind") or card["name"].lower().replace(" ", "_"))
     observer = choices.get("observer@controller.observer", "none")  # a static pregain has no place for one
@@ -94,7 +94,7 @@ def budget(config) -> str:
 
 
 def overrides_of(job: Path) -> list:
-    return OverridesParser.create().parse_overrides(json.loads((job / "result.json").read_text())["overrides"])
+    return OverridesParser.create().parse_overrides(read_json(job / "result.json")["overrides"])
 
 
 def table_of(shown: str) -> Path:

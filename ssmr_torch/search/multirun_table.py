@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from hydra.experimental.callback import Callback
 
-from ssmr_torch.result_files import save_csv
+from ssmr_torch.result_files import read_json, save_csv
+
+NAMED = 3  # failed jobs in a message
 
 
 class MultirunTable(Callback):
@@ -16,10 +17,23 @@ class MultirunTable(Callback):
     sweep.csv: all jobs, best first by the first metric; of trainings sweep.svg: score against parameters, fit time,
     step time and data; of a study study.csv and study.svg: scores against the quantity that it varies; of a search
     found.yaml: the row of its best job, in a table of found settings, which save_to=FILE merges into another one.
+    Where jobs of this multirun have failed, the command then ends with their reasons and status 1.
     """
+
+    def __init__(self):
+        self.before: dict[Path, int] = {}
+
+    def on_multirun_start(self, config, **kwargs) -> None:
+        self.before = written(Path(config.hydra.sweep.dir))
 
     def on_multirun_end(self, config, **kwargs) -> None:
         directory = Path(config.hydra.sweep.dir)
+        try:
+            self._end(directory, config)
+        finally:  # also where a picture cannot be drawn, of which Hydra makes a warning
+            refuse_failed(config.hydra.job.name, directory, self.before)
+
+    def _end(self, directory: Path, config) -> None:
         rows = gather(directory)
         if not rows:
             return
@@ -43,7 +57,23 @@ class MultirunTable(Callback):
 def results(directory: Path) -> list[dict]:
     """Every job's result.json, with the number of the job."""
     files = sorted(directory.glob("*/result.json"))
-    return [{"job": file.parent.name} | json.loads(file.read_text()) for file in files]
+    return [{"job": file.parent.name} | read_json(file) for file in files]
+
+
+def written(directory: Path) -> dict[Path, int]:
+    """When each job's result.json was written, ns."""
+    return {file: file.stat().st_mtime_ns for file in directory.glob("*/result.json")}
+
+
+def refuse_failed(name: str, directory: Path, before: dict[Path, int]) -> None:
+    """Raises SystemExit where a job has failed whose result is not one of before."""
+    new = {file.parent.name for file, when in written(directory).items() if before.get(file) != when}
+    jobs = [job for job in results(directory) if job["job"] in new]
+    failed = [f"job {job['job']} failed: {job['metrics']['failed']}" for job in jobs if "failed" in job["metrics"]]
+    if failed:
+        more = [f"… and {len(failed) - NAMED} more"] if len(failed) > NAMED else []
+        raise SystemExit("\n".join([f"{name}: {len(failed)} of {len(jobs)} jobs failed; the others are in {directory}",
+                                    *failed[:NAMED], *more]))
 
 
 def gather(directory: Path) -> list[dict]:

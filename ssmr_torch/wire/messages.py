@@ -20,10 +20,10 @@ from enum import IntEnum
 
 import numpy as np
 
-MAGIC, VERSION = b"SSMR", 1
+from ssmr_torch.wire import limits
+
+MAGIC, VERSION, SEALED = b"SSMR", 1, 2  # SEALED: the version of a signed frame, see `ssmr_torch.wire.seal`
 HEADER = struct.Struct("<4sBBHIIQd")
-# Largest number of values or characters in a message; no robot or description needs nearly as many.
-LARGEST = 65536
 
 
 class Kind(IntEnum):
@@ -34,7 +34,8 @@ class Kind(IntEnum):
     REFUSE = 3       # ← the reason as text; status BUSY: ask again later
     MEASUREMENT = 4  # → the observation, with the robot's time stamp
     COMMAND = 5      # ← the input for the measurement with the same number, and the solve time
-    END = 6          # ↔ this run is over; text: the reason; status OK: as intended; the robot applies its safe input
+    END = 6          # ↔ this run is over; text: the reason; status OK: as intended, SUSPENDED: the run can go on later;
+                     #   the robot applies its safe input
 
 
 class Code(IntEnum):
@@ -54,6 +55,7 @@ class Code(IntEnum):
     OUT_OF_RANGE = 11
     FROZEN_SENSOR = 12
     WRONG_TIME = 13
+    SUSPENDED = 253
     BUSY = 254
     OTHER = 255
 
@@ -69,7 +71,8 @@ class Malformed(ValueError):
 class Message:
     """One message.
 
-    run: number of the run, chosen by the controller in START.   sequence: number of the sample, from 0.
+    run: number of the run, chosen by the controller in START.   sequence: number of the sample, from 0; in a HELLO the
+    number of the request, which START and REFUSE repeat.
     time: s; the robot's own clock in a measurement, the solve time in a command.   values: float64, (p,) m in a
     measurement, (m,) in a command.   text: of the other kinds.
     """
@@ -85,7 +88,7 @@ class Message:
     def pack(self) -> bytes:
         """The bytes to send."""
         if self.kind in _TEXTS:
-            body = self.text.encode()
+            body = self.text.encode(errors="replace")[:limits.LARGEST_BODY]
             count = len(body)
         else:
             body, count = np.asarray(self.values, dtype="<f8").tobytes(), len(self.values)
@@ -98,13 +101,15 @@ def unpack(data: bytes) -> Message:
         raise Malformed(f"a message of {len(data)} bytes; expected at least the header of {HEADER.size} bytes")
     magic, version, number, status, run, count, sequence, time = HEADER.unpack_from(data)
     if magic != MAGIC or version != VERSION:
+        remedy = "give this end the other's key" if version == SEALED else "use the same release on both sides"
         raise Malformed(f"a message that begins with {magic!r}, version {version}; "
-                        f"expected {MAGIC!r}, version {VERSION}: use the same release on both sides")
+                        f"expected {MAGIC!r}, version {VERSION}: {remedy}")
     if number not in Kind._value2member_map_:
         raise Malformed(f"a message of kind {number}; expected 1 to {max(Kind)}")
     kind = Kind(number)
-    expected = HEADER.size + count * (1 if kind in _TEXTS else 8)
-    if count > LARGEST or len(data) != expected:
+    body = count * (1 if kind in _TEXTS else 8)
+    expected = HEADER.size + body
+    if body > limits.LARGEST_BODY or len(data) != expected:
         raise Malformed(f"a {kind.name} of {len(data)} bytes with a count of {count}; expected {expected} bytes")
     if not np.isfinite(time):
         raise Malformed(f"a {kind.name} with the time {time}; expected a finite number of s")
@@ -123,7 +128,7 @@ class RobotDescription:
 
     timestep: s, between two measurements.   rest: (p,) m.   input_bounds: (2, m).   real_time: True: time goes on
     without a command; False: the robot waits for every command (lock-step).
-    Raises ValueError when sizes disagree or a number is not finite.
+    Raises ValueError when sizes disagree, and for what is outside the limits (`ssmr_torch.wire.limits`).
     """
 
     name: str
@@ -137,23 +142,26 @@ class RobotDescription:
     real_time: bool = False
 
     def __post_init__(self):
-        for name in ("output_names", "input_names"):
-            object.__setattr__(self, name, tuple(str(part) for part in getattr(self, name)))
-        for name in ("rest", "input_bounds"):
-            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
+        checked = {"name": limits.name("the robot's name", self.name), "timestep": limits.timestep(self.timestep),
+                   "output_names": limits.names("output_names", self.output_names, limits.MOST_OUTPUTS),
+                   "input_names": limits.names("input_names", self.input_names, limits.MOST_INPUTS),
+                   "rest": limits.numbers("rest", self.rest),
+                   "input_bounds": limits.numbers("input_bounds", self.input_bounds),
+                   "input_unit": limits.name("the robot's input_unit", self.input_unit)}
+        for part, value in checked.items():
+            object.__setattr__(self, part, value)
         p, m = len(self.output_names), len(self.input_names)
         if not p or not m or self.rest.shape != (p,) or self.input_bounds.shape != (2, m):
             raise ValueError(f"the robot has {p} output names and a rest of shape {self.rest.shape}, {m} input names "
                              f"and input_bounds of shape {self.input_bounds.shape}; expected (p,) and (2, m)")
-        numbers = np.concatenate([self.rest, self.input_bounds.ravel()])
-        if not (np.isfinite(numbers).all() and (self.input_bounds[0] < self.input_bounds[1]).all()):
-            raise ValueError(f"the robot's rest is {self.rest.tolist()} and its input_bounds "
-                             f"{self.input_bounds.tolist()}; expected finite numbers, the lowest below the highest")
-        if not (isinstance(self.timestep, (int, float)) and np.isfinite(self.timestep) and self.timestep > 0):
-            raise ValueError(f"the robot's timestep is {self.timestep!r}; expected a positive number of s")
+        if not (self.input_bounds[0] < self.input_bounds[1]).all():
+            raise ValueError(f"the robot's input_bounds are {limits.legible(str(self.input_bounds.tolist()))}; "
+                             "expected the lowest below the highest")
+        if not isinstance(self.real_time, bool):
+            raise ValueError(f"the robot's real_time is {limits.legible(repr(self.real_time))}; expected true or false")
         if self.length_unit != "m":
-            raise ValueError(f"the robot measures in {self.length_unit!r}; expected 'm', as in the controller: "
-                             "convert the observation and rest to m")
+            raise ValueError(f"the robot measures in {limits.legible(repr(self.length_unit))}; expected 'm', as in the "
+                             "controller: convert the observation and rest to m")
 
     @classmethod
     def of(cls, plant, real_time: bool = False) -> RobotDescription:
@@ -170,31 +178,20 @@ class RobotDescription:
 
 def read_description(text: str) -> RobotDescription:
     """The description in a HELLO. Raises ValueError, with the reason, where it cannot be read."""
-    content = _object(text, "a HELLO")
+    content = limits.json_object(text, "a HELLO")
     known = {part.name for part in fields(RobotDescription)}
     needed = {"name", "output_names", "input_names", "timestep", "rest", "input_bounds"}
     if not needed <= content.keys() <= known:
-        raise ValueError(f"a HELLO has the keys {sorted(content)}; expected {sorted(needed)}, and perhaps "
-                         f"{sorted(known - needed)}")
-    try:
-        return RobotDescription(**content)
-    except TypeError as error:
-        raise ValueError(f"a HELLO cannot be read: {error}") from error
+        raise ValueError(f"a HELLO has the keys {limits.legible(str(sorted(content)))}; expected {sorted(needed)}, and "
+                         f"perhaps {sorted(known - needed)}")
+    return RobotDescription(**content)
 
 
 def read_start(text: str) -> int | None:
     """The seed in a START. Raises ValueError for another text."""
-    seed = _object(text, "a START").get("seed")
-    if seed is not None and not (isinstance(seed, int) and seed >= 0):
-        raise ValueError(f"a START has the seed {seed!r}; expected a whole number of 0 or more, or null")
+    seed = limits.json_object(text, "a START").get("seed")
+    whole = isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed < 2**64
+    if seed is not None and not whole:
+        raise ValueError(f"a START has the seed {limits.legible(repr(seed))}; expected a whole number of 0 or more, or "
+                         "null")
     return seed
-
-
-def _object(text: str, what: str) -> dict:
-    try:
-        content = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise ValueError(f"the text of {what} is not JSON: {error}") from error
-    if not isinstance(content, dict):
-        raise ValueError(f"the text of {what} is a JSON {type(content).__name__}; expected a JSON object")
-    return content

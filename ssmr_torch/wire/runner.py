@@ -29,6 +29,7 @@ from ssmr_torch.targets import build
 log = logging.getLogger(__name__)
 
 REST_TOLERANCE = 1e-3  # m
+REMEMBERED = 2  # controllers: that of the training, and that of the last robot
 DESIGNED = {"_target_": "ssmr_torch.control.designed.designed_controller"}
 DEFAULT = {"controller": {"_target_": "ssmr_torch.control.mpc.ModelPredictiveController"},
            "task": {"_target_": "ssmr_torch.tasks.references.figure_eight", "tracked": ["tip_x", "tip_y"]}}
@@ -40,7 +41,8 @@ def made_of(loaded: artifact.Artifact, target: str):
 
 
 def controller_for(loaded: artifact.Artifact, make: Callable, rest_tolerance: float = REST_TOLERANCE) -> Callable:
-    """The `build` of a `ControllerEnd`: RobotDescription → controller; the same robot gets the same controller again.
+    """The `build` of a `ControllerEnd`: RobotDescription → controller. The last `REMEMBERED` robots get the same
+    controller again.
 
     make(model, input_bounds, timestep=…, output_names=…) → controller; it refuses a wrong timestep itself.
     rest_tolerance: m.   Raises ValueError, with both sides, for a robot that the model was not trained on.
@@ -55,10 +57,15 @@ def controller_for(loaded: artifact.Artifact, make: Callable, rest_tolerance: fl
                              f"{robot.rest.tolist()} m; at most {1e3 * rest_tolerance:g} mm of difference is allowed. "
                              "Measure from the same origin, or raise rest_tolerance")
         key = robot.timestep, robot.input_bounds.tobytes()
-        if key not in known:
-            known[key] = make(loaded.model, robot.input_bounds, timestep=robot.timestep,
-                              output_names=robot.output_names)
-        return known[key]
+        made = known.pop(key, None)
+        if made is None:
+            made = make(loaded.model, robot.input_bounds, timestep=robot.timestep, output_names=robot.output_names)
+        elif not np.array_equal(getattr(made, "input_bounds", robot.input_bounds), robot.input_bounds):
+            made.input_bounds = robot.input_bounds  # they were changed during the last run
+        known[key] = made
+        while len(known) > REMEMBERED:
+            del known[next(iter(known))]
+        return made
 
     return controller
 
@@ -100,6 +107,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _serve(options) -> None:
     from ssmr_torch.wire.controller_end import ControllerEnd
     from ssmr_torch.wire.link import ControllerLink
+    from ssmr_torch.wire.seal import read_key
     from ssmr_torch.wire.serving import serve
 
     if options.artifact is None:
@@ -115,7 +123,7 @@ def _serve(options) -> None:
         chosen, source, task, bounds, packages=options.package, **more), options.rest_tolerance)
     end = ControllerEnd(make, duration=task.duration, deadline=options.deadline, timeout=options.timeout,
                         patience=options.patience)
-    with ControllerLink(options.bind) as link:
+    with ControllerLink(options.bind, read_key(options.key_file)) as link:
         prepare(loaded, make)
         print(f"{loaded.card['name']} waits for a robot at {link.endpoint}", flush=True)
         serve(link, end, runs=options.runs, done=lambda end: print(f"run {end.finished}: {len(end.samples)} samples, "
@@ -149,6 +157,8 @@ def _parser() -> argparse.ArgumentParser:
                         help="s after its due time, when a measurement counts as missing (default: half a timestep)")
     parser.add_argument("--timeout", type=float, default=0.5, help="s of silence until a real-time robot is gone")
     parser.add_argument("--patience", type=float, default=60.0, help="s of silence until a lock-step robot is gone")
+    parser.add_argument("--key-file", help="file with the key that the robot has as well; then every message is signed "
+                        "(default: the environment variable SSMR_TORCH_WIRE_KEY, else no signatures)")
     parser.add_argument("--rest-tolerance", type=float, default=REST_TOLERANCE, help="m (default %(default)s)")
     return parser
 

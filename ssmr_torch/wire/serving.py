@@ -6,9 +6,12 @@ from collections.abc import Callable
 from time import monotonic
 
 from ssmr_torch.wire.controller_end import ControllerEnd
+from ssmr_torch.wire.stopping import ended_in_order
 
 # Longest single wait, s; interrupts are handled in between.
 LONGEST_WAIT = 0.1
+# Most messages that are read before they are answered.
+AT_ONCE = 256
 
 
 def serve(link, end: ControllerEnd, *, runs: int | None = None, done: Callable[[ControllerEnd], None] | None = None,
@@ -16,23 +19,32 @@ def serve(link, end: ControllerEnd, *, runs: int | None = None, done: Callable[[
     """Answer messages over `link`, a `ControllerLink`, until `runs` runs are finished (None: for ever) or `stop()`.
 
     done: called after every finished run, while `end` still has its samples.
-    At the end, also after an error or an interrupt, the robot is informed and applies its safe input.
+    At the end, also after an error, an interrupt or a signal that ends the process, the robot is informed and applies
+    its safe input.
     """
-    finished = 0
-    try:
-        while (runs is None or end.finished < runs) and not stop():
-            received = link.receive(min(max(end.due() - clock(), 0.0), LONGEST_WAIT))
-            now = clock()
-            # A message that waits to be read came in time, however long the controller needed for the one before.
-            replies = end.tick(now) if received is None else end.receive(*received, now)
-            for peer, message in replies:
+    finished, link.counts = 0, end.counts
+    with ended_in_order():
+        try:
+            while (runs is None or end.finished < runs) and not stop():
+                answer(link, end, clock)
+                if end.finished > finished:
+                    finished = end.finished
+                    if done is not None:
+                        done(end)
+        finally:
+            for peer, message in end.end("the controller stops"):
                 link.send(peer, message)
-            if replies:
-                end.prepare()
-            if end.finished > finished:
-                finished = end.finished
-                if done is not None:
-                    done(end)
-    finally:
-        for peer, message in end.end("the controller stops"):
-            link.send(peer, message)
+
+
+def answer(link, end: ControllerEnd, clock: Callable[[], float] = monotonic) -> None:
+    """Wait for a message, `LONGEST_WAIT` at most; answer all that can be read; go on without those that are overdue."""
+    waiting, wait = [], min(max(end.due() - clock(), 0.0), LONGEST_WAIT)
+    while len(waiting) < AT_ONCE and (received := link.receive(0.0 if waiting else wait)) is not None:
+        waiting.append(received)
+    now = clock()
+    # A message that waits to be read came in time, however long the controller needed for the one before.
+    replies = end.receive_all(waiting, now) + end.tick(now)
+    for peer, message in replies:
+        link.send(peer, message)
+    if replies:
+        end.prepare()

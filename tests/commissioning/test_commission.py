@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ssmr_torch import command
+from ssmr_torch.checksum import sealed_json
 from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.commissioning.commission import STEPS
 from ssmr_torch.commissioning.safety_guard import SafetyStop
@@ -98,7 +99,7 @@ def test_a_stop_in_the_recordings_keeps_the_run_marked_and_goes_on_with_smaller_
     bring_up_again = bring_up.directory / "progress.json"
     entries = json.loads(bring_up_again.read_text())
     entries["confirmed"] = entries["confirmed"][:5]
-    bring_up_again.write_text(json.dumps(entries))
+    bring_up_again.write_text(sealed_json(entries))
 
     def design(kind, data, task, within):
         bounds.append(within)

@@ -10,6 +10,7 @@ import pytest
 
 import ssmr_torch as ssmr
 from ssmr_torch import tasks
+from ssmr_torch.checksum import sealed_json
 from ssmr_torch.control.designed import DesignedController
 from ssmr_torch.control.kalman_observers import KalmanObserver
 from ssmr_torch.deployment import artifact
@@ -103,7 +104,7 @@ def test_a_file_that_is_not_a_controller_is_refused(saved, tmp_path, text, messa
     (tmp_path / "one" / "controller.json").write_text(text)
     card = json.loads((tmp_path / "one" / "card.json").read_text())
     card["sha256"]["controller.json"] = hashlib.sha256(text.encode()).hexdigest()
-    (tmp_path / "one" / "card.json").write_text(json.dumps(card))
+    (tmp_path / "one" / "card.json").write_text(sealed_json(card))
     with pytest.raises(ValueError, match=message):
         artifact.load(tmp_path / "one")
 

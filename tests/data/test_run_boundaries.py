@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from ssmr_torch.data.matlab_reader import read_koopman_struct
-from ssmr_torch.data.run_boundaries import check_seams, count_blips, count_frozen, find_seams, find_time_gaps
+from ssmr_torch.data.run_boundaries import check_seams, count_blips, count_frozen, find_seams
+from ssmr_torch.recording_clocks.gaps import find_time_gaps
 from ssmr_torch.recording_files.reading import read_tables
 
 DATA = Path(os.environ.get("SSMR_TORCH_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))

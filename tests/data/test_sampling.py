@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from ssmr_torch.data.sampling import SamplingRule, mean_of_held, resample, to_grid
+from ssmr_torch.data.sampling import SamplingRule, resample, to_grid
+from ssmr_torch.recording_clocks.held_inputs import mean_of_held
 
 
 def jittered(count, timestep, share, seed=0):

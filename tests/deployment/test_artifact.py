@@ -1,6 +1,7 @@
 """What is deployed: a directory that is complete, replays its reference, and needs no training libraries."""
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ssmr_torch.deployment import artifact
+from ssmr_torch.deployment import artifact, whole_directory
 from ssmr_torch.fitting.checkpoints import load_model
 from ssmr_torch.models.monomials import count_monomials
 from ssmr_torch.models.named_structures import spectral_submanifold
@@ -178,8 +179,8 @@ def test_a_save_that_is_interrupted_leaves_the_old_artifact_as_it_was(saved, mon
     def interrupted(*arguments):
         raise KeyboardInterrupt
 
-    for step in ("save_file", "_predict", "_replace"):
-        monkeypatch.setattr(artifact, step, interrupted)
+    for place, step in ((artifact, "save_tables"), (artifact, "_predict"), (whole_directory, "_replace")):
+        monkeypatch.setattr(place, step, interrupted)
         with pytest.raises(KeyboardInterrupt):
             artifact.save(saved, MODELS["linear"], **DATA)
         monkeypatch.undo()
@@ -244,3 +245,47 @@ print(model.step(np.full(4, 0.01), np.ones(2)).tolist())
 def test_a_score_that_is_infinite_because_rollouts_diverge_is_stored_as_null(tmp_path):
     path = artifact.save(tmp_path / "model", MODELS["curved"], **DATA, scores={"test/rmse": float("inf")})
     assert artifact.load(path).card["scores"] == {"test/rmse": None}
+
+
+def test_the_permissions_are_those_that_the_user_asks_for(tmp_path):
+    for mask, folder, file in ((0o022, 0o755, 0o644), (0o077, 0o700, 0o600), (0o002, 0o775, 0o664)):
+        before = os.umask(mask)
+        try:
+            path = artifact.save(tmp_path / "model", MODELS["curved"], **DATA)
+            assert path.stat().st_mode & 0o777 == folder
+            assert {each.stat().st_mode & 0o777 for each in path.iterdir()} == {file}
+        finally:
+            os.umask(before)
+
+
+def test_of_several_processes_that_save_to_one_place_at_once_one_wins_whole(tmp_path):
+    source = artifact.save(tmp_path / "source", MODELS["curved"], **DATA)
+    program = """
+import sys
+from ssmr_torch.deployment import artifact
+loaded = artifact.load(sys.argv[1])
+keep = {key: loaded.card[key] for key in ("output_names", "input_names", "rest", "input_range")}
+for number in range(8):
+    artifact.save(sys.argv[2], loaded.model, name=sys.argv[3], **keep)
+    artifact.load(sys.argv[2])  # never half of one and half of another, and never missing
+"""
+    artifact.save(tmp_path / "model", MODELS["curved"], **DATA)
+    running = [subprocess.Popen([sys.executable, "-c", program, str(source), str(tmp_path / "model"), name],
+                                stderr=subprocess.PIPE, text=True) for name in ("one", "two", "three")]
+    ended = [(process.communicate()[1], process.returncode) for process in running]
+    assert [code for _, code in ended] == [0, 0, 0], ended
+    assert artifact.load(tmp_path / "model").card["name"] in ("one", "two", "three")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["model", "source"]
+
+
+def test_where_directories_cannot_be_exchanged_in_one_step_they_are_replaced_all_the_same(saved, monkeypatch):
+    monkeypatch.setattr(whole_directory, "_exchanged", lambda one, other: False)
+    artifact.save(saved, MODELS["linear"], **DATA, name="newer")
+    assert artifact.load(saved).card["name"] == "newer"
+    assert [path.name for path in saved.parent.iterdir()] == [saved.name]
+
+
+def test_an_artifact_behind_a_link_is_replaced_where_it_lies(saved, tmp_path):
+    (tmp_path / "link").symlink_to(saved)
+    artifact.save(tmp_path / "link", MODELS["linear"], **DATA, name="newer")
+    assert (tmp_path / "link").is_symlink() and artifact.load(saved).card["name"] == "newer"

@@ -5,9 +5,9 @@ import pytest
 
 from ssmr_torch.collection.excitation import Dithered, SmoothRandom
 from ssmr_torch.recording_checks.delay import command_delay
-from ssmr_torch.recording_estimates.modes import slow_modes
 from ssmr_torch.recording_checks.noise import measurement_noise
 from ssmr_torch.recording_checks.statics import turned
+from ssmr_torch.recording_estimates.modes import slow_modes
 
 BOUNDS = np.array([[-2.0, -2.0], [2.0, 2.0]])
 

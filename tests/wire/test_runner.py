@@ -202,6 +202,24 @@ def test_the_same_robot_gets_the_same_controller_again(shipped):
     assert len(made) == 2
 
 
+def test_controllers_of_past_robots_are_forgotten_and_bounds_that_a_run_changed_are_set_back(shipped):
+    class Bounded:
+        def __init__(self, bounds):
+            self.input_bounds = np.array(bounds)
+
+    build = runner.controller_for(artifact.load(shipped), lambda model, bounds, **more: Bounded(bounds))
+
+    def robot(highest):
+        return RobotDescription.of(Mismatched(input_bounds=np.array([[0.0] * 4, [highest] * 4])))
+
+    first = build(robot(1.0))
+    first.input_bounds = np.zeros((2, 4))
+    assert build(robot(1.0)) is first and first.input_bounds.max() == 1.0
+    for highest in range(2, 2 + runner.REMEMBERED):
+        build(robot(float(highest)))
+    assert build(robot(1.0)) is not first
+
+
 @pytest.mark.slow
 def test_two_commands_over_the_wire_give_the_ise_of_one_and_settings_for_the_runner(shipped, tmp_path):
     python = [sys.executable]

@@ -1,0 +1,118 @@
+"""The lag between the inputs and the outputs of a dataset: said where it is clear, removed where the card asks for it."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ssmr_torch.recording_clocks.held_inputs import mean_of_held
+from ssmr_torch.recording_clocks.lag import Lag, lag_of
+from ssmr_torch.recording_files.note import Note
+from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
+
+logger = logging.getLogger(__name__)
+
+SHORTEST = 10       # samples that must be left of a run
+APART = 2           # samples by which the lag of a run must differ from that of all, beyond both intervals
+MOST = 20           # runs that are looked at one by one
+
+
+def with_lag(dataset: TrajectoryDataset, rule: str | float = "keep", told: bool = True) -> TrajectoryDataset:
+    """The dataset, its inputs shifted where the rule is "remove" or a number of s by which they stand late.
+
+    "keep" changes nothing; a clear lag is said unless `told` is False. Shifted runs lose the samples without an input.
+    Raises ValueError where a shift leaves too little of a run, and for "remove" where the recordings tell no lag.
+    """
+    step = dataset.timestep
+    moving = [run for run in dataset if np.ptp(run.input, axis=0).max(initial=0.0) > 0]
+    if rule == "keep" and not told:
+        return dataset
+    if rule not in ("keep", "remove"):
+        lags = {run.name: float(rule) for run in moving}
+        return _shifted(dataset, lags, [_note(moving, float(rule), None, step, "corrected")] if rule else [])
+    found = lag_of([(run.observation, run.input) for run in moving if run.split != "test"]
+                   or [(run.observation, run.input) for run in moving], step)
+    others = _others(moving, found, step)
+    if rule == "keep":
+        notes = [_note(moving, found.samples * step, found, step, "kept")] if found.significant else []
+        notes += [_note([run], lag.samples * step, lag, step, "kept") for run, lag in others]
+        return _noted(dataset, notes)
+    if found.samples is None:
+        raise ValueError("input_lag is remove, but these recordings do not tell a lag, since their inputs change too "
+                         "slowly; give it in s, or record ten seconds of input steps")
+    lags = {run.name: found.samples * step for run in moving}
+    lags |= {run.name: lag.samples * step for run, lag in others}
+    notes = [_note(moving, found.samples * step, found, step, "corrected")] if found.samples else []
+    return _shifted(dataset, lags, notes + [_note([run], lag.samples * step, lag, step, "corrected")
+                                            for run, lag in others])
+
+
+def shifted(run: Trajectory, lag: float) -> Trajectory:
+    """The run with the inputs that stood `lag` s late (negative: early) where they act; samples without one are left
+    out.
+
+    input[k] becomes the mean of what was held from time[k] + lag to time[k+1] + lag.
+    """
+    step = run.timestep
+    if abs(lag / step - round(lag / step)) < 1e-6:
+        count = round(lag / step)
+        first, last = max(0, -count), run.length - max(0, count)
+        kept, inputs = np.arange(first, last), run.input[first + count:last + count]
+    else:
+        edges = np.r_[run.time, run.time[-1] + step] + lag
+        kept = np.flatnonzero((edges[:-1] >= run.time[0] - 1e-9) & (edges[1:] <= run.time[-1] + step + 1e-9))
+        inputs = mean_of_held(run.time, run.input, edges)[kept]
+    if len(kept) < SHORTEST:
+        raise ValueError(f"{run.name}: a lag of {lag:g} s leaves {len(kept)} of {run.length} samples; expected at least "
+                         f"{SHORTEST}: correct input_lag, or leave the run out")
+    return Trajectory(run.time[kept], run.observation[kept], inputs, run.kind, run.split, run.name)
+
+
+def _others(moving: Sequence[Trajectory], common: Lag, step: float) -> list[tuple[Trajectory, Lag]]:
+    """Runs whose own lag is clearly another than that of all."""
+    if len(moving) < 2 or len(moving) > MOST or common.samples is None:
+        return []
+    found = []
+    for run in moving:
+        own = lag_of([(run.observation, run.input)], step)
+        if own.samples is None or abs(own.samples - common.samples) < APART:
+            continue
+        there = np.interp(common.samples, own.lags, own.error)
+        apart = own.low - APART >= common.high or own.high + APART <= common.low
+        if apart and there > 1.5 * own.error.min():
+            found.append((run, own))
+    return found
+
+
+def _note(runs: Sequence[Trajectory], lag: float, found: Lag | None, step: float, done: str) -> Note:
+    names = [run.name for run in runs]
+    named = ", ".join(names) if len(names) <= 4 else f"{', '.join(names[:3])} and {len(names) - 3} more runs"
+    between = "" if found is None else (f" ({abs(found.samples)} samples, between {1e3 * found.low * step:.3g} and "
+                                        f"{1e3 * found.high * step:.3g} ms)")
+    if done == "corrected":
+        said = f"the inputs, {1e3 * abs(lag):.3g} ms {'late' if lag > 0 else 'early'}{between}, are shifted to where they act"
+    elif lag > 0:
+        said = (f"the inputs stand {1e3 * lag:.3g} ms{between} after the motion that they cause, as if logged late; set "
+                f"input_lag: remove, or {lag:.4g}, to shift them")
+    else:
+        said = (f"the motion comes {-1e3 * lag:.3g} ms{between} after its inputs, by a delay of the robot or of the log; "
+                f"set input_lag: remove, or {lag:.4g}, to shift them, or give the model delays")
+    numbers = {"lag_s": lag} | ({} if found is None else {"low_s": found.low * step, "high_s": found.high * step})
+    return Note(named, "input lag", said, done, (), numbers)
+
+
+def _shifted(dataset: TrajectoryDataset, lags: dict[str, float], notes: list[Note]) -> TrajectoryDataset:
+    runs = [shifted(run, lags[run.name]) if lags.get(run.name) else run for run in dataset]
+    return _noted(replace(dataset, trajectories=tuple(runs)), notes)
+
+
+def _noted(dataset: TrajectoryDataset, notes: list[Note]) -> TrajectoryDataset:
+    if not notes:
+        return dataset
+    for note in notes:
+        logger.warning("%s", note)
+    said = [*dataset.provenance.get("notes", []), *(note.as_dict() for note in notes)]
+    return replace(dataset, provenance=dataset.provenance | {"notes": said})
