@@ -19,7 +19,7 @@ ROOM = "ssmr_torch.faults"
 # Trials of recordings: one file each, with TRIALS.
 RECORDINGS = {
     "clean": ("clean_trials",), "measurements": ("measurement_trials", "level_trials", "missing_row_trials"),
-    "clocks": ("clock_trials",),
+    "clocks": ("clock_trials", "two_clock_trials"),
     "text": ("dialect_trials",), "tools": ("tool_trials", "container_trials"), "cards": ("card_trials",)}
 
 
