@@ -17,18 +17,15 @@ from ssmr_torch.ranges import Number
 from ssmr_torch.wire.limits import LARGEST_BODY, legible
 from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotDescription, read_start, unpack
 from ssmr_torch.wire.notices import Notices
-from ssmr_torch.wire.stopping import ended_in_order
+from ssmr_torch.wire.stopping import ended_by_signals
 
 log = logging.getLogger(__name__)
 
 # s between two HELLOs; in lock-step also between two copies of an unanswered measurement.
 AGAIN = 0.5
-# An input may exceed a bound by this share of the range, by rounding; it is clipped.
-ROUNDING = 1e-6
-# So many STARTs may follow one HELLO.
-STARTS = 2**20
-# Most messages that are read at once after a pause.
-WAITING = 4096
+ROUNDING = 1e-6  # share of its range by which an input may exceed a bound; it is clipped
+STARTS = 2**20  # that may follow one HELLO
+WAITING = 4096  # messages that are read at once after a pause
 
 
 class RobotEnd:
@@ -81,7 +78,7 @@ class RobotEnd:
         Raises TimeoutError when no controller came, and ConnectionError, with the reason, when one refused this robot.
         At the end, also after an error, the safe input is applied and the controller is informed.
         """
-        with ended_in_order():
+        with ended_by_signals():
             try:
                 self._drive(runs, wait)
             finally:
@@ -128,6 +125,8 @@ class RobotEnd:
         while True:
             if self._ask(observation, tick) is None:
                 self._unanswered()
+            if self.real_time:
+                self._be_safe_if_silent()  # it may have paused since it heard the command
             observation, observed = self.plant.step(self._input), self.clock()
             tick = self._pace()
             if self.real_time and self.clock() - observed >= 2 * self.description.timestep:
