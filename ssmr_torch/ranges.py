@@ -226,6 +226,15 @@ class Function(Range):
         return callable(value)
 
 
+class Made(Range):
+    """An object, or in a configuration what one is made from."""
+
+    said = "a mapping with a _target_"
+
+    def fits(self, value) -> bool:
+        return value is not None and not is_list(value) and not isinstance(value, (str, bytes, Real))
+
+
 class Anything(Range):
     """What its taker checks by itself, in its own sentence."""
 

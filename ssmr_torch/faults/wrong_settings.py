@@ -75,7 +75,7 @@ def verdict(ended: Ended, legal: bool, names: Sequence[str]) -> tuple[str, str]:
 
 def _must_work(command: str, overrides: Sequence[str], folder: Path) -> None:
     place = next(each.partition("=")[2] for each in overrides if each.startswith("hydra.run.dir="))
-    ended = run_command(command, overrides, Path(place), 120.0)
+    ended = run_command(command, overrides, Path(place), 600.0)
     if ended.how != "done":
         raise RuntimeError(f"{command} {' '.join(overrides)}: {ended.said}")
 
@@ -146,7 +146,7 @@ def _keys(key: str, node: Mapping, ranges: Mapping[str, Range], at_top: bool) ->
         if isinstance(value, Mapping) and value:
             yield from _keys(full, value, ranges, at_top=False)
         elif isinstance(value, list) and any(isinstance(each, Mapping) for each in value):
-            yield full, (None, value)
+            yield full, (range_, value)
         elif range_ is not None or of_target is not None:
             yield full, (range_, None if is_left_open(value) else value)
         elif at_top and value is not None:

@@ -184,8 +184,11 @@ def cost_of(model: TorchModel, module: TrajectoryDataModule) -> dict[str, float]
 def data_card(dataset: TrajectoryDataset, training: tuple) -> dict:
     """Information on the data for a deployed model: names, units, rest, range of inputs and outputs, provenance.
 
-    Raises ValueError if an input never changes.
+    Raises ValueError if an input never changes, or nothing is left to train with.
     """
+    if not training:
+        raise ValueError("no training run is left; record some, or use more decays or a longer controlled_duration of "
+                         "the data module")
     extremes = [run.extremes() for run in training]
     refuse_still_inputs(dataset, extremes)
     outputs, inputs = (np.stack(ranges) for ranges in zip(*extremes))
