@@ -50,6 +50,8 @@ def run_command(command: str, overrides: Sequence[str], directory: Path, limit: 
         how, said = "late", f"still at work after {limit:g} s"
     except Exception:
         how, said = "traceback", traceback.format_exc(limit=-6)
+        if monotonic() - begun >= limit:  # `Late` may leave a library as an exception of its own
+            how, said = "late", f"still at work after {limit:g} s"
     return Ended(how, said, monotonic() - begun)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from ssmr_torch.command_ranges import OF_ANY, OF_COMMANDS
 from ssmr_torch.configuration import written
 from ssmr_torch.configuration_check import declared, is_left_open
-from ssmr_torch.faults.command_lines import CONTRADICTIONS, MISTAKES, WAITS, CommandLine, command_lines, prepared
+from ssmr_torch.faults.command_lines import CONTRADICTIONS, MISTAKES, CommandLine, command_lines, prepared
 from ssmr_torch.faults.commands_in_process import Ended, run_command
 from ssmr_torch.ranges import Range, Truth, is_number
 
@@ -49,7 +49,7 @@ def wrong_settings(count: int, seed: int) -> list[dict]:
 
 def judged(case: dict, directory: Path) -> dict:
     """Run one case of `_drawn` and judge it."""
-    limit = AT_WORK if case["legal"] or case["command"] in WAITS else LIMIT
+    limit = AT_WORK if case["legal"] else LIMIT
     ended = run_command(case["command"], case["overrides"], directory, limit)
     shutil.rmtree(directory, ignore_errors=True)
     line = " ".join(["ssmr", case["command"].replace("_", "-"), *case["overrides"]])
