@@ -93,7 +93,8 @@ def script(command: str) -> Path:
 
 def usage() -> str:
     """What `ssmr --help` prints: every command with the first sentence of its script."""
-    said = {name: ast.get_docstring(ast.parse(script(name).read_text(encoding="utf-8"))).splitlines()[0] for name in COMMANDS}
+    texts = {name: script(name).read_text(encoding="utf-8") for name in COMMANDS}
+    said = {name: ast.get_docstring(ast.parse(text)).splitlines()[0] for name, text in texts.items()}
     width = max(map(len, said))
     return "\n".join([
         "ssmr COMMAND [key=value …]: learn the dominant dynamics of a robot from trajectories, and control it", "",
