@@ -64,7 +64,7 @@ def start(command: str, arguments: list[str], program: str | None = None) -> int
     try:
         if any(argument.startswith(SEARCH) for argument in arguments):
             require("optuna")  # else Hydra says only that it has no such sweeper
-        entry = import_module(f"ssmr_torch.experiments.{script(command).stem}").main
+        entry = module_of(command).main
     except ModuleNotFoundError as error:
         if remedy(error) is None:
             raise
@@ -72,6 +72,11 @@ def start(command: str, arguments: list[str], program: str | None = None) -> int
         return 1
     entry()
     return 0
+
+
+def module_of(command: str):
+    """The script of a command as a module."""
+    return import_module(f"ssmr_torch.experiments.{script(command).stem}")
 
 
 def with_files(command: str, arguments: list[str]) -> list[str]:

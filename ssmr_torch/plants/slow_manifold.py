@@ -6,8 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.compiled_functions import compiled
 from ssmr_torch.plants.base import PlantSheet, finite_vector, input_range
+from ssmr_torch.quantities import INPUT_BOUNDS, TIMESTEP
+from ssmr_torch.ranges import Number, OneOf, Whole
 
 SLOW_DIM, FAST_DIM, CABLES = 6, 4, 4
 
@@ -129,6 +132,8 @@ class SlowManifold(PlantSheet):
     input_unit = "N"
     input_names = ("cable_+x", "cable_-x", "cable_+y", "cable_-y")
 
+    @checked(observe=OneOf("markers", "state"), timestep=TIMESTEP, input_bounds=INPUT_BOUNDS,
+             fast_rate_scale=Number(1e-3, 1e4), fast_input_gain=Number(-1e4, 1e4), substeps=Whole(1, 10_000))
     def __init__(self, observe: str = "markers", timestep: float = 0.01, input_bounds: Sequence = (0.0, 1.5),
                  fast_rate_scale: float = 1.0, fast_input_gain: float = 1.0, substeps: int = 8):
         if observe not in ("markers", "state"):

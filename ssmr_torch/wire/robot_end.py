@@ -11,6 +11,9 @@ from time import monotonic
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
+from ssmr_torch.quantities import PATIENCE, TRUTH, VECTOR
+from ssmr_torch.ranges import Number
 from ssmr_torch.wire.limits import LARGEST_BODY, legible
 from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotDescription, read_start, unpack
 from ssmr_torch.wire.notices import Notices
@@ -45,6 +48,7 @@ class RobotEnd:
     Raises ValueError for settings out of range, and for a description that does not fit into a HELLO.
     """
 
+    @checked(real_time=TRUTH, timeout=PATIENCE, patience=PATIENCE, answer_within=Number(1e-3, 1.0), safe_input=VECTOR)
     def __init__(self, plant, link, *, real_time: bool = False, timeout: float = 0.2, patience: float = 60.0,
                  answer_within: float = 0.5, safe_input=None, clock: Callable[[], float] = monotonic):
         if not (0 < timeout < np.inf and 0 < patience < np.inf and 0 < answer_within <= 1):
