@@ -3,8 +3,8 @@
 import copy
 import hashlib
 import json
-import sys
 import pickle
+import sys
 
 import numpy as np
 import pytest
