@@ -40,8 +40,8 @@ def entry_point(name: str, *, resumed: str | None = None, at_a_robot: bool = Fal
     """Run function(config, directory) → metric under Hydra, with conf/NAME.yaml.
 
     Bad input, a full disk and a signal end in one message; the directory is that of one command at a time.
-    resumed: the option with which the same command goes on after an interruption, "" for none; None where it starts from
-    its beginning.   at_a_robot: whether a signal leaves a robot all the time that it takes to stop.
+    resumed: the option with which the same command goes on after an interruption, "" for none; None where it starts
+    from its beginning.   at_a_robot: whether a signal leaves a robot all the time that it takes to stop.
     """
 
     def decorate(function):
@@ -139,8 +139,9 @@ def follow(directory: Path, resumed: str | None) -> None:
         belong_to(os.getppid())
     if resumed is None:
         return
-    searches = several and "search" in HydraConfig.get().runtime.choices
-    where = f"hydra.sweep.dir={Path(HydraConfig.get().sweep.dir).absolute()}" if several else f"hydra.run.dir={directory}"
+    searches = several and HydraConfig.get().runtime.choices.get("search")
+    place = Path(HydraConfig.get().sweep.dir).absolute() if several else directory
+    where = f"hydra.{'sweep' if several else 'run'}.dir={place}"
     END.further = f"the same command with {f'{resumed} and ' if resumed and not searches else ''}{where} goes on"
     if several or not resumed:
         END.can_go_on()

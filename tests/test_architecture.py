@@ -48,9 +48,11 @@ HOMES = {
     "optuna": ["search/space.py", "search/trials.py"],
     "h5py": ["hdf5_file.py", "trajectory_file.py", "closed_loop/record.py", "commissioning/directory.py",
              "recording_files/*", "collection/resumption.py", "paper/report_sections.py", "paper/workspace_errors.py",
-             "data/matlab_reader.py"],
-    "yaml": ["data/card_file.py", "data/card_text.py", "documents/stray_numbers.py"],
-    "pandas": ["recording_files/*", "recording_clocks/dates.py"], "c3d": ["recording_files/c3d_reader.py"],
+             "data/matlab_reader.py", "faults/container_trials.py"],
+    "yaml": ["data/card_file.py", "data/card_text.py", "documents/stray_numbers.py", "faults/made_recordings.py",
+             "faults/card_trials.py"],
+    "pandas": ["recording_files/*", "recording_clocks/dates.py", "faults/container_trials.py"],
+    "c3d": ["recording_files/c3d_reader.py"],
     "rosbags": ["recording_files/rosbag_reader.py"],
     "pydantic": ["data/card_file.py", "data/recording_card.py", "data/units.py", "commissioning/robot_card.py"],
     "pydantic_core": ["data/card_file.py"],
@@ -72,11 +74,12 @@ NEVER = {
     "deployment": ["plants", "data", "fitting", "evaluation"],
     "data": ["models", "plants", "collection", "control", "fitting", "evaluation", "closed_loop"],
 }
-# The two that put everything together: the command starts the experiments, the runner serves an artifact's controller.
-EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "control"]}
+# The command starts the experiments, the runner serves an artifact's controller, faults use what benchmarks steer with.
+EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "control"],
+          "faults/garbage_control.py": ["benchmarks"], "faults/hostile_frames.py": ["benchmarks"]}
 # Who touches files; all else takes and returns arrays.
 TOUCHES_FILES = [
-    "checksum.py", "compiled_functions.py", "hdf5_file.py", "trajectory_file.py", "found_settings.py",
+    "checksum.py", "own_folder.py", "quiet_libraries.py", "hdf5_file.py", "trajectory_file.py", "found_settings.py",
     "run_directory.py", "provenance.py", "result_files.py", "benchmarks/*", "deployment/artifact.py",
     "deployment/checkpoint_copy.py", "deployment/tables.py", "deployment/whole_directory.py",
     "closed_loop/record.py", "paper/models.py", "collection/*", "wire/runner.py", "wire/seal.py", "command.py",

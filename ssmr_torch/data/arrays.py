@@ -38,23 +38,21 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
                  input_lag: str | float = "keep") -> TrajectoryDataset:
     """The dataset of runs that are arrays, or frames of pandas or polars.
 
-    Each run is (t, y, u): times (T,), numbers or dates (datetime64, timestamps, text), or one number, the sampling
-    time; the displacement of the observed points from
-    their rest position, (T, p) or (T,); inputs (T, m) or (T,), u[k] held from sample k to sample k + 1, so that y[k]
-    does not feel it yet. A decay may be (t, y): its inputs are zero. Frames bring the names of their columns.
+    Each run is (t, y, u): times (T,), numbers or dates, or one number, the sampling time; the displacement of the
+    observed points from rest, (T, p) or (T,); inputs (T, m) or (T,), u[k] held from sample k to k + 1, so that y[k] does
+    not feel it yet. A decay may be (t, y): its inputs are zero. Frames bring the names of their columns.
 
     decays: runs back to rest without input. controlled: runs under inputs. Both are trained on. validation, test: runs
     that are not; those whose inputs never move count as decays. A mapping instead of a list names its runs.
     output_names, input_names: one per column (y1, … and u1, … by default); of a frame they choose the columns.
     units: of what is given, such as {"length": "mm", "input": "N", "time": "s"}; m, N and s by default, and input "1"
     for normalized commands. rest: (p,), absolute position of the origin of y, in the unit of length; zero by default.
-    timestep: s, of the grid that irregular samples are put on; None for their median interval. missing: for rows that
-    are not finite, "bridge" (up to five, else cut), "split" (up to two) or "refuse". faults: a rule for each kind of
-    fault, as {"outliers": "cut"}, see `recording_faults.rules.FaultRules`. minimum_length: samples; shorter runs are
-    left out. range, interval_range: smallest and largest plausible peak displacement, m, and sampling time, s;
-    largest_input: the same of |u|, in N or 1. stamps: "even" spreads samples evenly over uneven times. same_stamp:
-    "refuse" samples of one time that differ, or keep the "first" or "last". input_lag: "keep", "remove", or s by which
-    inputs stand late.
+    timestep: s, of the grid of irregular samples; None: their median interval. missing: of rows that are not finite,
+    "bridge" (up to five, else cut), "split" (up to two) or "refuse". faults: rules as {"outliers": "cut"}, see
+    `recording_faults.rules.FaultRules`. minimum_length: samples; shorter runs are left out. range, interval_range:
+    smallest and largest plausible peak displacement, m, and sampling time, s; largest_input: of |u|, in N or 1. stamps:
+    "even" spreads samples evenly. same_stamp: of samples of one time, "refuse" them, or keep the "first" or "last".
+    input_lag: "keep", "remove", or s by which inputs stand late.
 
     Raises ValueError, with the run and the remedy, for lengths, names and units that do not fit, and for faults.
 

@@ -119,7 +119,8 @@ CONTRADICTIONS = [(CommandLine(command, tuple(overrides)), word) for command, ov
 
 # Words of a command line that no configuration has.
 MISTAKES = ("{key}x=1", "+{key}.more=1", "{key}=[1,2", "~nothing", "{key}=", "{group}=nowhere", "{group}.nothing=1",
-            "++{group}._target_=nowhere.Thing", "++{group}._target_=5", "{key}=${{nowhere}}", "=5", "{key}", "{group}=5")
+            "++{group}._target_=nowhere.Thing", "++{group}._target_=5", "{key}=${{nowhere}}", "=5", "{key}",
+            "{group}=5")
 
 
 def prepared(folder: Path, run) -> dict[str, str]:

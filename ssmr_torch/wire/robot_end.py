@@ -17,7 +17,7 @@ from ssmr_torch.ranges import Number
 from ssmr_torch.wire.limits import LARGEST_BODY, legible
 from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotDescription, read_start, unpack
 from ssmr_torch.wire.notices import Notices
-from ssmr_torch.wire.stopping import ended_in_order
+from ssmr_torch.wire.stopping import ended_by_signals
 
 log = logging.getLogger(__name__)
 
@@ -81,7 +81,7 @@ class RobotEnd:
         Raises TimeoutError when no controller came, and ConnectionError, with the reason, when one refused this robot.
         At the end, also after an error, the safe input is applied and the controller is informed.
         """
-        with ended_in_order():
+        with ended_by_signals():
             try:
                 self._drive(runs, wait)
             finally:
