@@ -51,8 +51,8 @@ def load_matlab_5(path: Path) -> dict[str, object]:
         raise ValueError(f"{path.name} is not a MATLAB file that can be read ({error}); expected version 5 or 7.3: "
                          "copy it again, or save it again as save('run.mat', '-v7.3')") from error
     except Exception as error:  # scipy raises what it stumbles upon
-        raise ValueError(f"{path.name} is not a MATLAB file that can be read ({type(error).__name__}: {str(error)[:100]}); "
-                         "expected version 5 or 7.3") from error
+        raise ValueError(f"{path.name} is not a MATLAB file that can be read ({type(error).__name__}: "
+                         f"{str(error)[:100]}); expected version 5 or 7.3") from error
     return {name: value for name, value in loaded.items() if not name.startswith("__")}
 
 
@@ -115,7 +115,7 @@ def _check_matrix(data: memoryview, order: str, depth: int) -> None:
         raise _Damaged("an array has no dimensions")
     shape = struct.unpack(f"{order}{len(parts[1].data) // 4}i", parts[1].data)
     if min(shape) < 0 or parts[2].kind not in (1, 2, 16):
-        raise _Damaged(f"an array has the dimensions {shape}")
+        raise _Damaged(f"an array has the dimensions {str(shape)[:40]}")
     _check_content(kind, bool(flags & COMPLEX), prod(shape), parts[3:], order, depth)
 
 

@@ -1,4 +1,4 @@
-"""A damaged file of any format is refused in a short sentence, or read: nothing else is raised, and the process lives."""
+"""A damaged file of any format is refused in a short sentence, or read: nothing else is raised."""
 
 import importlib.util
 import random
