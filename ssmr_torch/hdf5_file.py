@@ -6,6 +6,9 @@ A link in an HDF5 file may lead to another file, and a dataset of a kilobyte on 
 from __future__ import annotations
 
 import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
@@ -16,6 +19,7 @@ from ssmr_torch.checksum import Damaged
 # A dataset that zlib compressed as far as it can takes a thousandth; recordings stay far below this.
 COMPRESSION = 200
 FREE = 64 * 2 ** 20  # bytes in memory that any file may fill
+IN_MEMORY = 2 ** 28  # bytes
 DEEPEST = 32  # groups within groups
 
 
@@ -43,6 +47,27 @@ def open_hdf5(path: str | Path) -> h5py.File:
         file.close()
         raise
     return file
+
+
+@contextmanager
+def new_hdf5(path: str | Path, size: int) -> Iterator[h5py.File]:
+    """A file to be written, of about `size` bytes. Raises OSError where the disk is full.
+
+    HDF5 itself ends the process there, with a segmentation fault. A file of up to `IN_MEMORY` bytes is therefore made
+    in memory and written at once; for a larger one, the space is asked for first.
+    """
+    if size <= IN_MEMORY:
+        with h5py.File(path, "w", driver="core", backing_store=False) as file:
+            yield file
+            file.flush()
+            image = file.id.get_file_image()
+        Path(path).write_bytes(image)
+        return
+    with open(path, "wb") as place:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(place.fileno(), 0, size)
+    with h5py.File(path, "w") as file:
+        yield file
 
 
 def card_of(file: h5py.File, path: str | Path) -> dict:

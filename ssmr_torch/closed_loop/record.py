@@ -101,10 +101,13 @@ class ClosedLoopRecord(DataSheet):
         """Write one HDF5 file. The file appears only when it is complete."""
         import h5py
 
+        from ssmr_torch.hdf5_file import new_hdf5
+
         card = {"format": FORMAT, "length_unit": "m", "time_unit": "s", "input_unit": self.input_unit,
                 "tracked": self.tracked, "output_names": self.output_names, "input_names": self.input_names,
                 "provenance": self.provenance}
-        with written_aside(path, sealed=True) as aside, h5py.File(aside, "w") as file:
+        size = 2 * sum(getattr(self, name).nbytes for name in ARRAYS) + 2 ** 20
+        with written_aside(path, sealed=True) as aside, new_hdf5(aside, size) as file:
             file.attrs["card"] = json.dumps(card)
             for name in ARRAYS:
                 file[name] = getattr(self, name)

@@ -172,9 +172,7 @@ class Journal(JournalFileBackend):
     def _mend(self) -> None:
         self._lock_of_process.acquire()
         try:
-            with open(self._path, "rb+") as file:
-                content = file.read()
-                file.truncate(content.rfind(b"\n") + 1)
+            os.truncate(self._path, self._path.read_bytes().rfind(b"\n") + 1)
         finally:
             self._lock_of_process.release()
 
