@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 
 from ssmr_torch.checksum import Damaged
+from ssmr_torch.result_files import written_aside
 
 # A dataset that zlib compressed as far as it can takes a thousandth; recordings stay far below this.
 COMPRESSION = 200
@@ -50,24 +51,27 @@ def open_hdf5(path: str | Path) -> h5py.File:
 
 
 @contextmanager
-def new_hdf5(path: str | Path, size: int) -> Iterator[h5py.File]:
-    """A file to be written, of about `size` bytes. Raises OSError where the disk is full.
+def new_hdf5(path: str | Path, size: int, sealed: bool = False) -> Iterator[h5py.File]:
+    """A file to be written, of about `size` bytes, which appears at the end; sealed as in `written_aside`.
+
+    Raises OSError where the disk is full.
 
     HDF5 itself ends the process there, with a segmentation fault. A file of up to `IN_MEMORY` bytes is therefore made
     in memory and written at once; for a larger one, the space is asked for first.
     """
-    if size <= IN_MEMORY:
-        with h5py.File(path, "w", driver="core", backing_store=False) as file:
+    with written_aside(path, sealed=sealed) as aside:
+        if size <= IN_MEMORY:
+            with h5py.File(aside, "w", driver="core", backing_store=False) as file:
+                yield file
+                file.flush()
+                image = file.id.get_file_image()
+            aside.write_bytes(image)
+            return
+        with open(aside, "wb") as place:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(place.fileno(), 0, size)
+        with h5py.File(aside, "w") as file:
             yield file
-            file.flush()
-            image = file.id.get_file_image()
-        Path(path).write_bytes(image)
-        return
-    with open(path, "wb") as place:
-        if hasattr(os, "posix_fallocate"):
-            os.posix_fallocate(place.fileno(), 0, size)
-    with h5py.File(path, "w") as file:
-        yield file
 
 
 def card_of(file: h5py.File, path: str | Path) -> dict:

@@ -14,7 +14,6 @@ import numpy as np
 
 from ssmr_torch import checksum
 from ssmr_torch.hdf5_file import card_of, new_hdf5, numbers, open_hdf5, text
-from ssmr_torch.result_files import written_aside
 from ssmr_torch.run import JITTER_TOLERANCE, KINDS, SPLITS, STRETCH, Run, Trajectory
 
 OF_A_RUN = 2 ** 14  # bytes in the file beside the samples of a run
@@ -77,7 +76,7 @@ def save_runs(path: str | Path, runs: Sequence[Trajectory | StoredTrajectory], r
     """
     stated = json.dumps({"format": FORMAT, "length_unit": "m", "time_unit": "s", **card})
     size = sum(run.length for run in runs) * 8 * (1 + len(card["output_names"]) + len(card["input_names"]))
-    with written_aside(path, sealed=True) as aside, new_hdf5(aside, size + OF_A_RUN * (1 + len(runs))) as file:
+    with new_hdf5(path, size + OF_A_RUN * (1 + len(runs)), sealed=True) as file:
         file.attrs["card"] = stated
         file["rest"] = rest
         for index, stored in enumerate(runs):

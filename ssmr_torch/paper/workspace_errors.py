@@ -15,7 +15,7 @@ from ssmr_torch.evaluation.measured_rollouts import JoinedRuns
 from ssmr_torch.evaluation.open_loop import HORIZONS, OpenLoopScore, compare_open_loop
 from ssmr_torch.hdf5_file import new_hdf5
 from ssmr_torch.provenance import provenance
-from ssmr_torch.result_files import save_json, written_aside
+from ssmr_torch.result_files import save_json
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ def write_open_loop_map(config, path: Path, artifacts: Mapping[str, Path]) -> No
                           outputs=dataset.columns(config.outputs), starts=config.starts, seed=config.seed,
                           horizons=list(config.horizons))
     size = 2 * found.position.nbytes * (1 + len(found.errors)) + 2 ** 20
-    with written_aside(f"{path}.h5") as aside, new_hdf5(aside, size) as file:
+    with new_hdf5(f"{path}.h5", size) as file:
         file["position"] = found.position
         for name, errors in found.errors.items():
             file[f"error/{name}"] = errors
