@@ -16,6 +16,7 @@ LONGEST = 0.25      # of the rows of a run that such a stretch may have
 AWAY = 0.3          # of the deviation, that the gap across a stretch may have
 NEAR = 6            # rows between two jumps of one stretch of disorder
 DISORDER = 4        # jumps that make one
+FAST, FAR = 4.0, 0.3    # times the 95 % quantile of the steps, and of the reach, that no robot moves in one row
 LASTING, LASTS = 2.0, 0.05  # times the limit of a jump, and of the reach, from which one without return is cut
 
 
@@ -53,7 +54,9 @@ def _left(time: np.ndarray, y: np.ndarray, reach: float) -> tuple[np.ndarray, di
     """(T, p), which values left the motion, and the sizes of jumps without return by row."""
     found = gaps(time, y)
     limit = limits(y, found, reach)
-    jumps = np.flatnonzero((np.abs(found) > limit).any(axis=1))
+    steps = np.abs(np.diff(y, axis=0, prepend=y[:1]))
+    fast = steps > np.maximum(FAST * np.quantile(steps, 0.95, axis=0), FAR * reach)
+    jumps = np.flatnonzero(((np.abs(found) > limit) | fast).any(axis=1))
     bad, lasting = _ends(time, y, limit), {}
     place = 0
     while place < len(jumps):
@@ -61,7 +64,7 @@ def _left(time: np.ndarray, y: np.ndarray, reach: float) -> tuple[np.ndarray, di
         stop = _return(time, y, found, limit, first, jumps[place + 1:])
         if stop is not None:
             columns = (np.abs(found[[first, stop]]) > limit[[first, stop]]).any(axis=0)
-            bad[first:stop] |= columns
+            bad[first:stop] |= columns if columns.any() else True
             place = int(np.searchsorted(jumps, stop, side="right"))
             continue
         size = float(np.linalg.norm(found[first]))
@@ -76,7 +79,7 @@ def _return(time, y, found, limit, first: int, later: np.ndarray) -> int | None:
     for stop in later[later <= first + BRIDGED]:
         columns = (np.abs(found[[first, stop]]) > limit[[first, stop]]).any(axis=0)
         across, away = _across(time, y, first, stop, columns)
-        if across <= max(AWAY * away, np.linalg.norm(limit[first, columns])) and away > across:
+        if columns.any() and away > across and across <= max(AWAY * away, np.linalg.norm(limit[first, columns])):
             return int(stop)
     close = first
     for count, jump in enumerate(later, start=2):
@@ -88,7 +91,7 @@ def _return(time, y, found, limit, first: int, later: np.ndarray) -> int | None:
     columns = np.abs(found[first]) > limit[first]
     for stop in later[later <= first + LONGEST * len(y)]:
         apart = np.linalg.norm(found[first] + found[stop])
-        if apart <= ALIKE * np.linalg.norm(found[first, columns]) and stop > first + BRIDGED:
+        if columns.any() and apart <= ALIKE * np.linalg.norm(found[first, columns]) and stop > first + BRIDGED:
             return int(stop)
     return None
 

@@ -93,8 +93,8 @@ def _pictures(time: np.ndarray, y: np.ndarray, interval: float) -> np.ndarray:
     due = time[changes[0]] - interval * np.arange(before, 0, -1)
     kept = [*np.clip(np.searchsorted(time, due - 0.25 * interval), 0, None).tolist(), int(changes[0])]
     for row in [*changes[1:], len(time)]:
-        end = time[row] if row < len(time) else time[-1] + interval
-        missing = int(round((end - time[kept[-1]]) / interval)) - 1
+        end = time[row] if row < len(time) else 2 * time[-1] - time[-2]
+        missing = int(np.floor((end - time[kept[-1]]) / interval + 0.3)) - 1
         if missing > 0:
             due = time[kept[-1]] + interval * np.arange(1, missing + 1)
             kept += [int(k) for k in np.searchsorted(time, due - 0.25 * interval) if kept[-1] < k < row]
