@@ -57,7 +57,7 @@ def _left(time: np.ndarray, y: np.ndarray, reach: float) -> tuple[np.ndarray, di
     steps = np.abs(np.diff(y, axis=0, prepend=y[:1]))
     fast = steps > np.maximum(FAST * np.quantile(steps, 0.95, axis=0), FAR * reach)
     jumps = np.flatnonzero(((np.abs(found) > limit) | fast).any(axis=1))
-    bad, lasting = _ends(time, y, limit), {}
+    bad, lasting = np.zeros(y.shape, dtype=bool), {}
     place = 0
     while place < len(jumps):
         first = jumps[place]
@@ -71,7 +71,7 @@ def _left(time: np.ndarray, y: np.ndarray, reach: float) -> tuple[np.ndarray, di
         if (np.abs(found[first]) > LASTING * limit[first]).any() and size > LASTS * reach:
             lasting[int(first)] = size
         place += 1
-    return bad, lasting
+    return bad | _ends(time, y, limit, bad.any(axis=1)), lasting
 
 
 def _return(time, y, found, limit, first: int, later: np.ndarray) -> int | None:
@@ -110,9 +110,9 @@ def _across(time, y, first: int, stop: int, columns: np.ndarray) -> tuple[float,
     return float(np.linalg.norm(miss)), float(away.min())
 
 
-def _ends(time: np.ndarray, y: np.ndarray, limit: np.ndarray) -> np.ndarray:
+def _ends(time: np.ndarray, y: np.ndarray, limit: np.ndarray, known: np.ndarray) -> np.ndarray:
     """(T, p), outliers among the first and last two rows, where only one side is known: they must be farther than any
-    ordinary step.
+    ordinary step. known: (T,), bad rows, next to which nothing is judged.
     """
     bad = np.zeros(y.shape, dtype=bool)
     if len(y) < 2 * FEWEST:
@@ -120,6 +120,8 @@ def _ends(time: np.ndarray, y: np.ndarray, limit: np.ndarray) -> np.ndarray:
     largest = np.quantile(np.abs(np.diff(y, axis=0)), 0.98, axis=0)
     for reverse in (False, True):
         t, z = (time[::-1], y[::-1]) if reverse else (time, y)
+        if known[-6:].any() if reverse else known[:6].any():
+            continue
         for row in (1, 0):
             ahead = np.arange(row + 1, row + 4)
             slope = (z[ahead[0]] - z[ahead[2]]) / (t[ahead[0]] - t[ahead[2]])

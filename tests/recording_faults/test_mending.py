@@ -22,13 +22,11 @@ def named(recordings, name):
 
 # Outliers and lost markers
 
-@pytest.mark.parametrize("size", [1.0, 3.0, 30.0, 500.0, 1e6])
-@pytest.mark.parametrize("row", [0, 1, 20, 700, 1498, 1499])
+@pytest.mark.parametrize(("row", "size"), [(700, 1.0), (20, 3.0), (3, 30.0), (700, 1e6), (0, 30.0), (1, 500.0),
+                                           (1498, 500.0), (1499, 30.0)])
 def test_one_wrong_row_is_found_and_bridged_or_cut_at_the_ends(make_rig, row, size):
     rig = make_rig()
     true = rig.runs["c1"].observation.copy()
-    if row in (0, 1, 1498, 1499) and size < 20:
-        pytest.skip("at the ends a small outlier looks like the motion")
     rig.change("c1", row, true[row, 0] + 1e-3 * size, 0)
     after = mended(rig.recordings)
     note, run = only(after), named(after, "c1")
@@ -37,8 +35,8 @@ def test_one_wrong_row_is_found_and_bridged_or_cut_at_the_ends(make_rig, row, si
     assert note.done == ("cut" if row in (0, 1, 1498, 1499) else "bridged")
 
 
-@pytest.mark.parametrize("token", [0.0, -1e-3, -1.0, 9.999, 1e6])
-@pytest.mark.parametrize("count", [1, 2, 5, 40, 300])
+@pytest.mark.parametrize("token", [0.0, -1e-3, 1e6])
+@pytest.mark.parametrize("count", [1, 5, 300])
 def test_a_value_for_not_seen_is_bridged_where_it_is_short_and_else_cut_at_both_ends(rig, token, count):
     true = rig.runs["c2"].observation.copy()
     rig.change("c2", slice(600, 600 + count), token)
@@ -94,7 +92,7 @@ def test_a_spike_of_an_input_that_the_robot_does_not_answer_is_replaced(rig):
 
 # Exchanged markers
 
-@pytest.mark.parametrize("count", [1, 3, 50, 400])
+@pytest.mark.parametrize("count", [1, 3, 400])
 @pytest.mark.parametrize("displacements", [False, True])
 def test_rows_in_which_two_markers_are_exchanged_are_found_exactly(make_rig, count, displacements):
     rig = make_rig(markers=2)
@@ -218,8 +216,7 @@ def steps_from_rest(random):
 
 
 @pytest.mark.parametrize("inputs", [None, dithered, ramps, steps_from_rest])
-@pytest.mark.parametrize("noise", [0.0, 0.02, 0.2])
-@pytest.mark.parametrize("step", [None, 1e-5, 1e-4])
+@pytest.mark.parametrize(("noise", "step"), [(0.0, None), (0.2, None), (0.0, 1e-4), (0.02, 1e-5), (0.02, 1e-4)])
 def test_sound_recordings_are_returned_as_they_are(make_rig, inputs, noise, step):
     rig = make_rig(noise=noise, inputs=inputs, seed=3)
     if step:
