@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from ssmr_torch.data.assembly import assemble
+from ssmr_torch.data.input_lag import with_lag
 from ssmr_torch.data.sampling import SamplingRule
 from ssmr_torch.data.units import Plausible, Units
+from ssmr_torch.recording_clocks.clock_rules import ClockRules
+from ssmr_torch.recording_clocks.seconds import clock_of
 from ssmr_torch.recording_faults.copies import without_copies
 from ssmr_torch.recording_faults.mending import compared, mended
 from ssmr_torch.recording_faults.moving_decays import moving_decays
 from ssmr_torch.recording_faults.recording import Recording
 from ssmr_torch.recording_faults.rules import FaultRules
+from ssmr_torch.recording_files.table import Table
 from ssmr_torch.trajectory import TrajectoryDataset
 
 # Runs (t, y, u), or a mapping that names them.
@@ -28,24 +33,26 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
                  units: Mapping[str, str] | None = None, rest: npt.ArrayLike | None = None,
                  timestep: float | None = None, missing: str = "bridge", faults: Mapping[str, str] | None = None,
                  minimum_length: int = 10, range: Sequence[float] = Plausible.displacement,
-                 interval_range: Sequence[float] = Plausible.interval,
-                 largest_input: float | None = None) -> TrajectoryDataset:
+                 interval_range: Sequence[float] = Plausible.interval, largest_input: float | None = None,
+                 stamps: str = "as_given", same_stamp: str = "refuse",
+                 input_lag: str | float = "keep") -> TrajectoryDataset:
     """The dataset of runs that are arrays, or frames of pandas or polars.
 
-    Each run is (t, y, u): times (T,), or one number, the sampling time; the displacement of the observed points from
-    their rest position, (T, p) or (T,); inputs (T, m) or (T,), u[k] held from sample k to sample k + 1, so that y[k]
-    does not feel it yet. A decay may be (t, y): its inputs are zero. Frames bring the names of their columns.
+    Each run is (t, y, u): times (T,), numbers or dates, or one number, the sampling time; displacements from rest,
+    (T, p) or (T,); inputs (T, m) or (T,), u[k] held from sample k to k + 1, so that y[k] does not feel it yet. A decay
+    may be (t, y): its inputs are zero. Frames bring the names of their columns.
 
     decays: runs back to rest without input. controlled: runs under inputs. Both are trained on. validation, test: runs
     that are not; those whose inputs never move count as decays. A mapping instead of a list names its runs.
     output_names, input_names: one per column (y1, … and u1, … by default); of a frame they choose the columns.
     units: of what is given, such as {"length": "mm", "input": "N", "time": "s"}; m, N and s by default, and input "1"
     for normalized commands. rest: (p,), absolute position of the origin of y, in the unit of length; zero by default.
-    timestep: s, of the grid that irregular samples are put on; None for their median interval. missing: for rows that
-    are not finite, "bridge" (up to five, else cut), "split" (up to two) or "refuse". faults: a rule for each kind of
-    fault, as {"outliers": "cut"}, see `recording_faults.rules.FaultRules`. minimum_length: samples; shorter runs are
-    left out. range, interval_range: smallest and largest plausible peak displacement, m, and sampling time, s;
-    largest_input: the same of |u|, in N or 1.
+    timestep: s, of the grid of irregular samples; None: their median interval. missing: of rows that are not finite,
+    "bridge" (up to five, else cut), "split" (up to two) or "refuse". faults: rules as {"outliers": "cut"}, see
+    `recording_faults.rules.FaultRules`. minimum_length: samples; shorter runs are left out. range, interval_range:
+    smallest and largest plausible peak displacement, m, and sampling time, s; largest_input: of |u|, in N or 1. stamps:
+    "even" spreads samples evenly. same_stamp: of samples of one time, "refuse" them, or keep the "first" or "last".
+    input_lag: "keep", "remove", or s by which inputs stand late.
 
     Raises ValueError, with the run and the remedy, for lengths, names and units that do not fit, and for faults.
 
@@ -62,24 +69,24 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     ├─ inputs: held from sample to sample
     │  └─ cable: 0 … 0 N
     ├─ rest: 0 mm
-    ├─ from: arrays
-    └─ sources: decay 1 (...), other (...)
+    ...
     """
     measured = Units(**{"length": "m"} | _known_units(units))
     runs = _runs({"decays": decays, "controlled": controlled, "validation": validation, "test": test})
     output_names = _common("output", runs, [run.observation for run in runs], output_names)
     input_names = _common("input", runs, [run.input for run in runs], input_names)
-    recordings = [run.recording(output_names, input_names, measured) for run in runs]
+    clock = ClockRules("t", measured.time, None, None, None, stamps, same_stamp, interval_range, tuple(output_names))
+    recordings = [run.recording(output_names, input_names, measured, clock) for run in runs]
     rules, provenance = FaultRules.of(faults or {}), _provenance(recordings, measured)
     recordings = _without_faults(recordings, input_names, rules, missing, measured)
     origin = np.zeros(len(output_names)) if rest is None else measured.scale("length") * _vector(rest, output_names)
     plausible = Plausible((range[0], range[1]), (interval_range[0], interval_range[1]), largest_input)
     dataset = assemble(recordings, origin, output_names, input_names, measured,
                        SamplingRule("resample", timestep, minimum_length=minimum_length), provenance, plausible)
-    return without_copies(dataset, rules.copies)
+    return with_lag(without_copies(dataset, rules.copies), input_lag)
 
 
-def _provenance(recordings, units: Units) -> dict:
+def _provenance(recordings: Sequence[Recording], units: Units) -> dict:
     return {"reader": "arrays", "sources": {each.name: _digest(each) for each in recordings}, "assumptions": [
         f"Lengths in {units.length}, inputs in {units.input}, time in {units.time}.",
         "Observations are displacements from rest.",
@@ -114,7 +121,7 @@ class _Columns:
             raise ValueError(f"{name} has no inputs; expected (t, y, u)")
         self.time = np.asarray(time.to_numpy() if hasattr(time, "to_numpy") else time)
 
-    def recording(self, output_names, input_names, units: Units) -> Recording:
+    def recording(self, output_names, input_names, units: Units, rules: ClockRules) -> Recording:
         """The run in SI units, its columns in the order of the names; raises ValueError where lengths differ."""
         y = self.observation[1]
         u = np.zeros((len(y), len(input_names))) if self.input is None else self.input[1]
@@ -123,14 +130,25 @@ class _Columns:
                              "is held from sample k to sample k + 1, so leave out the last observation, y[:-1], t[:-1]")
         y, u = (_chosen(table, array, names, self.name) for table, array, names in
                 ((self.observation, y, output_names), (self.input, u, input_names)))
-        time = self.time.astype(np.float64)
-        if time.ndim == 0:
-            time = time * np.arange(len(y))
-        time, y, u = (units.scale(key) * array for key, array in (("time", time), ("length", y), ("input", u)))
+        if self.time.ndim == 0:
+            rules = replace(rules, time=None, interval=units.scale("time") * float(self.time))
+        clock = clock_of(self._as_table(rules, y, u), self.name, self.name, rules)
+        y, u = units.scale("length") * y[clock.rows], units.scale("input") * u[clock.rows]
         still = len(u) and np.ptp(u[np.isfinite(u).all(axis=1)], axis=0).max(initial=0.0) == 0
         kind = "decay" if self.part == "decays" or (self.part in ("test", "validation") and still) else "controlled"
         split = self.part if self.part in ("test", "validation") else "train"
-        return Recording(self.name, time.reshape(-1), y, u, kind, split, centred=True, output_names=tuple(output_names))
+        return Recording(self.name, clock.time, y, u, kind, split, centred=True, rows=np.sort(clock.rows),
+                         notes=clock.notes, output_names=tuple(output_names))
+
+    def _as_table(self, rules: ClockRules, y: np.ndarray, u: np.ndarray) -> Table:
+        """Times, outputs and inputs as a table, whose clock is read as those of files."""
+        time = {} if rules.time is None else {"t": self.time.reshape(-1)}
+        lengths = [len(each) for each in (*time.values(), y, u)]
+        if len(set(lengths)) > 1:
+            raise ValueError(f"{self.name}: {lengths[0]} times, {len(y)} observations and {len(u)} inputs; expected "
+                             "equally many")
+        columns = time | dict(zip(rules.outputs, y.T)) | {f"input {place}": each for place, each in enumerate(u.T)}
+        return Table(columns, format="arrays")
 
 
 def _named(part: str, runs) -> Iterable[tuple[str, tuple]]:
