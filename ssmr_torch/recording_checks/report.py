@@ -56,8 +56,8 @@ class RecordingsReport(DataSheet):
 
 
 def check(data: TrajectoryDataset) -> RecordingsReport:
-    """Check recordings before a fit: faults, decays, range, dither, held-out runs, noise, sampling, delay, friction, drift and
-    the neutral input. Each finding has a number and, if something is wrong, a remedy.
+    """Check recordings before a fit: faults, decays, range, dither, held-out runs, noise, sampling, delay, friction,
+    drift and the neutral input. Each finding has a number and, if something is wrong, a remedy.
 
     data: from `read`, `load` or `trajectories`. The training runs are checked, and nothing is changed. If the runs do
     not show a subject, its severity is "unknown".

@@ -28,8 +28,8 @@ def slow_cameras(recordings: Sequence[Recording], rule: str) -> list[Recording]:
     if slow and rule == "refuse":
         rate, _ = found[slow[0].name]
         runs = f", as in {len(slow)} runs" if len(slow) > 1 else ""
-        raise ValueError(f"{_said(slow[0], *found[slow[0].name])}{runs}; set faults.slow_camera: bridge to fill the rows "
-                         f"between its values, or thin to keep one row for each (or record at {rate:.3g} Hz)")
+        raise ValueError(f"{_said(slow[0], *found[slow[0].name])}{runs}; set faults.slow_camera: bridge to fill the "
+                         f"rows between its values, or thin to keep one row for each (or record at {rate:.3g} Hz)")
     return [each if found[each.name] is None else _treated(each, *found[each.name], rule) for each in recordings]
 
 

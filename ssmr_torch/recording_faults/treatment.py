@@ -19,7 +19,8 @@ SHOWN = 24          # rows on either side of the first bad one that are kept for
 def treated(recording: Recording, bad: np.ndarray, fault: str, rule: str, what: str) -> Recording:
     """The recording with its bad values bridged, cut out or kept by the rule, and one note that says so.
 
-    bad: (T, p), whether a value is bad; rows that were kept before are not said again. what: the fault in words, after which the rows and the remedy are said.
+    bad: (T, p), whether a value is bad; rows that were kept before are not said again. what: the
+    fault in words, after which the rows and the remedy are said.
     Raises ValueError for the rule "refuse", and when nothing is left of the run.
     """
     known = [row for note in recording.notes if note.done == "kept" for row in note.rows]

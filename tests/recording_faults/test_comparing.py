@@ -1,4 +1,4 @@
-"""Faults that only a comparison of the recordings shows: rest, units, dead columns, whole runs, drift, decays, copies."""
+"""Faults that only a comparison of recordings shows: rest, units, dead columns, whole runs, drift, decays, copies."""
 
 from dataclasses import replace
 
@@ -78,7 +78,8 @@ def test_a_column_in_another_unit_is_named(rig):
         compared(rig.recordings, rig.rest * [1, 1, 1e-3])
 
 
-@pytest.mark.parametrize(("runs", "match"), [(None, "^z never moves in any run"), (["c2"], "^c2: z never moves in this")])
+@pytest.mark.parametrize(("runs", "match"), [(None, "^z never moves in any run"),
+                                             (["c2"], "^c2: z never moves in this")])
 def test_a_dead_column_is_named(rig, runs, match):
     for name in runs or rig.runs:
         rig.change(name, slice(None), 0.12, 2)
@@ -113,7 +114,8 @@ def test_levels_that_differ_from_run_to_run_are_said_and_removed(rig):
     for name, level in (("c2", 4e-3), ("c3", 8e-3)):
         rig.shift(name, [0, 0, level])
     texts = said(compared(rig.recordings, rig.rest))
-    assert [text[:2] for text in texts] == ["c2", "c3"] and all(" mm in z from the other runs" in text for text in texts)
+    assert [text[:2] for text in texts] == ["c2", "c3"]
+    assert all(" mm in z from the other runs" in text for text in texts)
     for each in compared(rig.recordings, rig.rest, FaultRules(drift="remove")):
         if each.name in true:
             np.testing.assert_allclose(each.observation, true[each.name], atol=0.5e-3)
@@ -137,7 +139,8 @@ def dataset(rig, **other):
 def test_a_test_run_that_is_part_of_the_training_is_refused_even_if_it_was_rounded(rig, digits):
     run = rig.runs["c1"]
     y = run.observation[300:] if digits is None else run.observation[300:].round(digits)
-    part = replace(run, name="test", split="test", time=run.time[:1200], observation=y, input=run.input[300:], rows=None)
+    part = replace(run, name="test", split="test", time=run.time[:1200], observation=y, input=run.input[300:],
+                   rows=None)
     assert without_copies(dataset(rig), "refuse").provenance == {}
     with pytest.raises(ValueError, match="^1200 of the 1200 samples of the test run 'test' are those .* run 'c1'"):
         without_copies(dataset(rig, test=part), "refuse")

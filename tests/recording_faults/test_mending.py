@@ -1,4 +1,4 @@
-"""Faults that a recording shows by itself are found at their rows, and mended to within the noise; sound ones are not."""
+"""Faults that a recording shows by itself are found at their rows and mended; sound recordings stay as they are."""
 
 import numpy as np
 import pytest
