@@ -5,14 +5,19 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from ssmr_torch.data.assembly import assemble
+from ssmr_torch.data.input_lag import with_lag
 from ssmr_torch.data.sampling import SamplingRule
 from ssmr_torch.data.units import Plausible, Units
+from ssmr_torch.recording_clocks.clock_rules import ClockRules
+from ssmr_torch.recording_clocks.seconds import clock_of
 from ssmr_torch.recording_faults.recording import Recording
+from ssmr_torch.recording_files.table import Table
 from ssmr_torch.trajectory import TrajectoryDataset
 
 logger = logging.getLogger(__name__)
@@ -29,10 +34,12 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
                  units: Mapping[str, str] | None = None, rest: npt.ArrayLike | None = None,
                  timestep: float | None = None, missing: str = "refuse", minimum_length: int = 10,
                  range: Sequence[float] = Plausible.displacement, interval_range: Sequence[float] = Plausible.interval,
-                 largest_input: float | None = None) -> TrajectoryDataset:
+                 largest_input: float | None = None, stamps: str = "as_given", same_stamp: str = "refuse",
+                 input_lag: str | float = "keep") -> TrajectoryDataset:
     """The dataset of runs that are arrays, or frames of pandas or polars.
 
-    Each run is (t, y, u): times (T,), or one number, the sampling time; the displacement of the observed points from
+    Each run is (t, y, u): times (T,), numbers or dates (datetime64, timestamps, text), or one number, the sampling
+    time; the displacement of the observed points from
     their rest position, (T, p) or (T,); inputs (T, m) or (T,), u[k] held from sample k to sample k + 1, so that y[k]
     does not feel it yet. A decay may be (t, y): its inputs are zero. Frames bring the names of their columns.
 
@@ -44,7 +51,8 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     timestep: s, of the grid that irregular samples are put on; None for their median interval. missing: "refuse" rows
     that are not finite, or "split" the run there. minimum_length: samples; shorter runs are left out. range,
     interval_range: smallest and largest peak displacement, m, and sampling time, s, that are plausible; largest_input:
-    the same of |u|, in N or 1.
+    the same of |u|, in N or 1. stamps: "even" spreads samples evenly over uneven times. same_stamp: "refuse" samples of
+    one time that differ, or keep the "first" or "last". input_lag: "keep", "remove", or s by which inputs stand late.
 
     Raises ValueError for lengths, names and units that do not fit, a decay whose inputs move or that does not end near
     zero, and recordings that no robot makes; the message names the run and the remedy.
@@ -69,16 +77,21 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     runs = _runs({"decays": decays, "controlled": controlled, "validation": validation, "test": test})
     output_names = _common("output", runs, [run.observation for run in runs], output_names)
     input_names = _common("input", runs, [run.input for run in runs], input_names)
-    recordings = [run.recording(output_names, input_names, measured) for run in runs]
+    clock = ClockRules("t", measured.time, None, None, None, stamps, same_stamp, interval_range, tuple(output_names))
+    recordings = [run.recording(output_names, input_names, measured, clock) for run in runs]
     _check_decays([each for each, run in zip(recordings, runs) if run.part == "decays"], input_names, measured)
     origin = np.zeros(len(output_names)) if rest is None else measured.scale("length") * _vector(rest, output_names)
-    provenance = {"reader": "arrays", "sources": {each.name: _digest(each) for each in recordings}, "assumptions": [
-        f"Lengths in {measured.length}, inputs in {measured.input}, time in {measured.time}.",
+    rule = SamplingRule("resample", timestep, missing=missing, minimum_length=minimum_length)
+    plausible = Plausible((range[0], range[1]), (interval_range[0], interval_range[1]), largest_input)
+    return with_lag(assemble(recordings, origin, output_names, input_names, measured, rule,
+                             _provenance(recordings, measured), plausible), input_lag)
+
+
+def _provenance(recordings: Sequence[Recording], units: Units) -> dict:
+    return {"reader": "arrays", "sources": {each.name: _digest(each) for each in recordings}, "assumptions": [
+        f"Lengths in {units.length}, inputs in {units.input}, time in {units.time}.",
         "Observations are displacements from rest.",
         "Each input is held until the next sample and acts after the observation of its row."]}
-    rule = SamplingRule("resample", timestep, missing=missing, minimum_length=minimum_length)
-    return assemble(recordings, origin, output_names, input_names, measured, rule, provenance,
-                    Plausible((range[0], range[1]), (interval_range[0], interval_range[1]), largest_input))
 
 
 def _runs(given: Mapping) -> list[_Columns]:
@@ -104,7 +117,7 @@ class _Columns:
             raise ValueError(f"{name} has no inputs; expected (t, y, u)")
         self.time = np.asarray(time.to_numpy() if hasattr(time, "to_numpy") else time)
 
-    def recording(self, output_names, input_names, units: Units) -> Recording:
+    def recording(self, output_names, input_names, units: Units, rules: ClockRules) -> Recording:
         """The run in SI units, its columns in the order of the names; raises ValueError where lengths differ."""
         y = self.observation[1]
         u = np.zeros((len(y), len(input_names))) if self.input is None else self.input[1]
@@ -113,14 +126,25 @@ class _Columns:
                              "is held from sample k to sample k + 1, so leave out the last observation, y[:-1], t[:-1]")
         y, u = (_chosen(table, array, names, self.name) for table, array, names in
                 ((self.observation, y, output_names), (self.input, u, input_names)))
-        time = self.time.astype(np.float64)
-        if time.ndim == 0:
-            time = time * np.arange(len(y))
-        time, y, u = (units.scale(key) * array for key, array in (("time", time), ("length", y), ("input", u)))
+        if self.time.ndim == 0:
+            rules = replace(rules, time=None, interval=units.scale("time") * float(self.time))
+        clock = clock_of(self._as_table(rules, y, u), self.name, self.name, rules)
+        y, u = units.scale("length") * y[clock.rows], units.scale("input") * u[clock.rows]
         still = len(u) and np.ptp(u[np.isfinite(u).all(axis=1)], axis=0).max(initial=0.0) == 0
         kind = "decay" if self.part == "decays" or (self.part in ("test", "validation") and still) else "controlled"
         split = self.part if self.part in ("test", "validation") else "train"
-        return Recording(self.name, time.reshape(-1), y, u, kind, split, centred=True)
+        return Recording(self.name, clock.time, y, u, kind, split, centred=True, rows=np.sort(clock.rows),
+                         notes=clock.notes)
+
+    def _as_table(self, rules: ClockRules, y: np.ndarray, u: np.ndarray) -> Table:
+        """Times, outputs and inputs as a table, whose clock is read as those of files."""
+        time = {} if rules.time is None else {"t": self.time.reshape(-1)}
+        lengths = [len(each) for each in (*time.values(), y, u)]
+        if len(set(lengths)) > 1:
+            raise ValueError(f"{self.name}: {lengths[0]} times, {len(y)} observations and {len(u)} inputs; expected "
+                             "equally many")
+        columns = time | dict(zip(rules.outputs, y.T)) | {f"input {place}": each for place, each in enumerate(u.T)}
+        return Table(columns, format="arrays")
 
 
 def _named(part: str, runs) -> Iterable[tuple[str, tuple]]:

@@ -56,7 +56,8 @@ def custom(card: str | Path) -> TrajectoryDataset:
                           described.rest == "last sample of decays")
     rule = SamplingRule(described.sampling, described.timestep, described.irregularity, "refuse",
                         described.minimum_length)
-    provenance = {"reader": "custom", "sources": digests(path, [*files, *command_files(described, path.parent, files)]), "assumptions": [
+    sources = digests(path, [*files, *command_files(described, path.parent, files)])
+    provenance = {"reader": "custom", "sources": sources, "assumptions": [
         f"Lengths in {described.units.length}, inputs in {described.units.input}, time in "
         f"{described.units.time}.",
         assumed, "Each input is held until the next sample and acts after the observation of its row.",

@@ -41,4 +41,8 @@ def content_of(text: str) -> object:
     """What a card's YAML holds. Raises ValueError for a key that stands twice, with its lines; yaml.YAMLError for other
     text.
     """
-    return yaml.load(text, _Loader)  # a safe loader
+    try:
+        return yaml.load(text, _Loader)  # a safe loader
+    except RecursionError:
+        raise ValueError("its brackets or lists lie too deep in each other; expected keys and values, as in "
+                         "{length: mm}") from None

@@ -1,4 +1,4 @@
-"""The lag between the inputs and the outputs of a dataset: said where it is clear, removed where the card asks for it."""
+"""The lag between the inputs and the outputs of a dataset: said where it is clear, removed on request."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ssmr_torch.recording_clocks.gaps import samples
 from ssmr_torch.recording_clocks.held_inputs import mean_of_held
 from ssmr_torch.recording_clocks.lag import Lag, lag_of
 from ssmr_torch.recording_files.note import Note
@@ -33,11 +34,16 @@ def with_lag(dataset: TrajectoryDataset, rule: str | float = "keep", told: bool 
     if rule not in ("keep", "remove"):
         lags = {run.name: float(rule) for run in moving}
         return _shifted(dataset, lags, [_note(moving, float(rule), None, step, "corrected")] if rule else [])
-    found = lag_of([(run.observation, run.input) for run in moving if run.split != "test"]
-                   or [(run.observation, run.input) for run in moving], step)
+    training = [run for run in moving if run.split != "test"] or moving
+    found = _of(training, step)
     others = _others(moving, found, step)
+    if others:  # which spoil what all have in common
+        odd = [run.name for run, _ in others]
+        found = _of([run for run in training if run.name not in odd] or training, step)
+        others = _others(moving, found, step)
+    common = [run for run in moving if run.name not in [other.name for other, _ in others]]
     if rule == "keep":
-        notes = [_note(moving, found.samples * step, found, step, "kept")] if found.significant else []
+        notes = [_note(common, found.samples * step, found, step, "kept")] if found.significant and common else []
         notes += [_note([run], lag.samples * step, lag, step, "kept") for run, lag in others]
         return _noted(dataset, notes)
     if found.samples is None:
@@ -45,7 +51,7 @@ def with_lag(dataset: TrajectoryDataset, rule: str | float = "keep", told: bool 
                          "slowly; give it in s, or record ten seconds of input steps")
     lags = {run.name: found.samples * step for run in moving}
     lags |= {run.name: lag.samples * step for run, lag in others}
-    notes = [_note(moving, found.samples * step, found, step, "corrected")] if found.samples else []
+    notes = [_note(common, found.samples * step, found, step, "corrected")] if found.samples and common else []
     return _shifted(dataset, lags, notes + [_note([run], lag.samples * step, lag, step, "corrected")
                                             for run, lag in others])
 
@@ -66,9 +72,13 @@ def shifted(run: Trajectory, lag: float) -> Trajectory:
         kept = np.flatnonzero((edges[:-1] >= run.time[0] - 1e-9) & (edges[1:] <= run.time[-1] + step + 1e-9))
         inputs = mean_of_held(run.time, run.input, edges)[kept]
     if len(kept) < SHORTEST:
-        raise ValueError(f"{run.name}: a lag of {lag:g} s leaves {len(kept)} of {run.length} samples; expected at least "
-                         f"{SHORTEST}: correct input_lag, or leave the run out")
+        raise ValueError(f"{run.name}: a lag of {lag:g} s leaves {len(kept)} of {run.length} samples; expected "
+                         f"{SHORTEST} or more: correct input_lag, or leave the run out")
     return Trajectory(run.time[kept], run.observation[kept], inputs, run.kind, run.split, run.name)
+
+
+def _of(runs: Sequence[Trajectory], step: float) -> Lag:
+    return lag_of([(run.observation, run.input) for run in runs], step)
 
 
 def _others(moving: Sequence[Trajectory], common: Lag, step: float) -> list[tuple[Trajectory, Lag]]:
@@ -77,7 +87,7 @@ def _others(moving: Sequence[Trajectory], common: Lag, step: float) -> list[tupl
         return []
     found = []
     for run in moving:
-        own = lag_of([(run.observation, run.input)], step)
+        own = _of([run], step)
         if own.samples is None or abs(own.samples - common.samples) < APART:
             continue
         there = np.interp(common.samples, own.lags, own.error)
@@ -90,16 +100,17 @@ def _others(moving: Sequence[Trajectory], common: Lag, step: float) -> list[tupl
 def _note(runs: Sequence[Trajectory], lag: float, found: Lag | None, step: float, done: str) -> Note:
     names = [run.name for run in runs]
     named = ", ".join(names) if len(names) <= 4 else f"{', '.join(names[:3])} and {len(names) - 3} more runs"
-    between = "" if found is None else (f" ({abs(found.samples)} samples, between {1e3 * found.low * step:.3g} and "
+    between = "" if found is None else (f" ({samples(abs(found.samples))}, between {1e3 * found.low * step:.3g} and "
                                         f"{1e3 * found.high * step:.3g} ms)")
     if done == "corrected":
-        said = f"the inputs, {1e3 * abs(lag):.3g} ms {'late' if lag > 0 else 'early'}{between}, are shifted to where they act"
+        side = "late" if lag > 0 else "early"
+        said = f"the inputs, {1e3 * abs(lag):.3g} ms {side}{between}, are shifted to where they act"
     elif lag > 0:
-        said = (f"the inputs stand {1e3 * lag:.3g} ms{between} after the motion that they cause, as if logged late; set "
-                f"input_lag: remove, or {lag:.4g}, to shift them")
+        said = (f"the inputs stand {1e3 * lag:.3g} ms{between} after the motion that they cause, as if logged late; "
+                f"set input_lag: remove, or {lag:.4g}, to shift them")
     else:
-        said = (f"the motion comes {-1e3 * lag:.3g} ms{between} after its inputs, by a delay of the robot or of the log; "
-                f"set input_lag: remove, or {lag:.4g}, to shift them, or give the model delays")
+        said = (f"the motion comes {-1e3 * lag:.3g} ms{between} after its inputs, by a delay of the robot or of the "
+                f"log; set input_lag: remove, or {lag:.4g}, to shift them, or give the model delays")
     numbers = {"lag_s": lag} | ({} if found is None else {"low_s": found.low * step, "high_s": found.high * step})
     return Note(named, "input lag", said, done, (), numbers)
 

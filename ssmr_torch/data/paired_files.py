@@ -59,8 +59,8 @@ def with_commands(name: str, clock: Clock, observation: np.ndarray, commands: Co
     columns = card.columns
     time = columns.input_time or (columns.time if columns.time is not None else None)
     named = time if isinstance(time, str | None) else tuple(time)
-    rules = replace(card.clock_rules(), time=named, unit=card.units.input_time or card.units.time, frame=None, rate=None,
-                    bounds=(0.0, np.inf), data=tuple(columns.input))
+    rules = replace(card.clock_rules(), time=named, unit=card.units.input_time or card.units.time, frame=None,
+                    rate=None, bounds=(0.0, np.inf), outputs=())
     own = clock_of(commands.table, f"{name}, inputs", commands.file, rules)
     inputs = commands.table.numbers(columns.input, commands.file)[own.rows]
     return joined(name, clock, observation, own, inputs, card.clock_offset, card.clock_drift)

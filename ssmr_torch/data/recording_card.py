@@ -284,7 +284,7 @@ class RecordingCard(Card):
         interval = None if self.sampling_time is None else self.sampling_time * self.units.scale("time")
         return ClockRules(columns.time if isinstance(columns.time, str | None) else tuple(columns.time),
                           self.units.time, interval, columns.frame, self.rate, self.stamps, self.same_stamp,
-                          (self.interval_range[0], self.interval_range[1]), (*columns.observation, *columns.input))
+                          self.interval_range, tuple(columns.observation), tuple(columns.input))
 
 
 def read_recording_card(path: str | Path) -> RecordingCard:

@@ -91,8 +91,9 @@ def _pieces(recording: Recording, named: set[str], card: RecordingCard) -> list[
     missing = [name for name in named
                if _of(recording, name) and int(PIECE.fullmatch(name)["number"]) >= len(edges) - 1]
     if missing:
-        raise ValueError(f"{sorted(missing)} do not exist: {recording.name} has {len(edges) - 1} pieces, from "
-                         f"{recording.name}/0, between its seams {recording.rows[starts].tolist()}; declare its seams")
+        raise ValueError(f"{sorted(missing)} do not exist: {recording.name} has {len(edges) - 1} pieces, "
+                         f"{recording.name}/0 to {recording.name}/{len(edges) - 2}, cut at the rows "
+                         f"{recording.rows[starts].tolist()}; declare its seams, or name one of these")
     pieces = []
     for number, (start, stop) in enumerate(zip(edges, edges[1:])):
         name, rows = f"{recording.name}/{number}", slice(start, stop)

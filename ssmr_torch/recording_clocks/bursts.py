@@ -73,8 +73,8 @@ def refuse_bursts(name: str, time: np.ndarray) -> None:
         return
     size = int(np.median(sizes))
     rate = (len(time) - 1) / (time[-1] - time[0])
-    raise ValueError(f"{name}: samples arrive in {NUMBERS.get(size, f'bursts of {size}')}; mean rate {rate:.3g} Hz; set "
-                     "stamps: even to spread them evenly")
+    raise ValueError(f"{name}: samples arrive in {NUMBERS.get(size, f'bursts of {size}')}; mean rate {rate:.3g} Hz; "
+                     "set stamps: even to spread them evenly")
 
 
 def _breaks(stamps: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -23,7 +24,7 @@ class ClockRules:
     time of day. frame: name of a column of frame numbers instead, of which `rate` pass in 1 s. Neither: samples are
     `interval` s apart. stamps: "as_given", or "even": spread evenly over the rows, whose order is taken as true.
     same_stamp: "refuse" rows that share a stamp but not their values, or keep the "first" or the "last" of them.
-    bounds: s, plausible median intervals. data: names of the columns of observations and inputs.
+    bounds: s, plausible median intervals. outputs, inputs: names of the columns that hold them.
     Raises ValueError for rules that contradict each other.
     """
 
@@ -34,8 +35,9 @@ class ClockRules:
     rate: float | None = None
     stamps: str = "as_given"
     same_stamp: str = "refuse"
-    bounds: tuple[float, float] = INTERVAL
-    data: tuple[str, ...] = ()
+    bounds: Sequence[float] = INTERVAL
+    outputs: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
 
     def __post_init__(self):
         for key, value, known in (("stamps", self.stamps, STAMPS), ("same_stamp", self.same_stamp, SAME_STAMP),

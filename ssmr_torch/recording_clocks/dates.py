@@ -62,8 +62,8 @@ def _parts(text, where: str):
             return parts.fillna("")
         best = failed if best is None or failed.sum() < best.sum() else best
     row = best[best].index[0]
-    raise ValueError(f"{where}: row {row} (from 0) holds {text[row]!r}; expected a number or a date with a time of day, "
-                     "as 2024-03-31T01:59:59.900+01:00")
+    raise ValueError(f"{where}: row {row} (from 0) holds {text[row]!r}; expected a number, or a date and a time of "
+                     "day, as 2024-03-31T01:59:59.900+01:00")
 
 
 def _clock(parts) -> np.ndarray:

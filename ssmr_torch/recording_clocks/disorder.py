@@ -13,6 +13,7 @@ from ssmr_torch.recording_files.table import Table
 FAR = 20                # intervals; a clock that falls by more starts again
 BLOCK = 3               # rows in a row that are copies, at least, where the originals are not next to them
 EVEN = 0.45             # deviation of the steps from the interval after sorting, in intervals
+BACKWARDS = 0.9         # share of the steps that go back where rows stand newest first
 BITS = (8, 16, 24, 32)  # of counters
 COUNTERS = tuple(2.0 ** 32 * scale for scale in (1e-3, 1e-6))  # s; ms and µs of microcontrollers
 REMEDY = "correct the stamp, leave the row out, or set stamps: even where the rows' order is right"
@@ -57,6 +58,16 @@ def without_copies(name: str, stamps: Stamps, copied: np.ndarray) -> Stamps:
                                        "values; dropped", "dropped", tuple(rows)))
 
 
+def oldest_first(name: str, stamps: Stamps) -> Stamps:
+    """The stamps, turned around where the newest row stands first."""
+    steps = np.diff(stamps.time)
+    if not np.mean(steps < 0) > BACKWARDS:
+        return stamps
+    note = Note(name, "newest first", f"the rows stand newest first, from {stamps.time[0]:.6g} to "
+                f"{stamps.time[-1]:.6g} s; turned around", "corrected")
+    return Stamps(stamps.time[::-1], stamps.rows[::-1], (*stamps.notes, note))
+
+
 def unwrapped(name: str, stamps: Stamps, scale: float, motion: np.ndarray) -> Stamps:
     """The stamps of a counter of so many bits that began again at 0, in one piece.
 
@@ -80,7 +91,7 @@ def unwrapped(name: str, stamps: Stamps, scale: float, motion: np.ndarray) -> St
 def parts_between_restarts(name: str, stamps: Stamps) -> tuple[list[slice], list[Note]]:
     """The stretches in which one clock runs, and a note where another run begins."""
     time, step = stamps.time, typical_step(stamps.time)
-    begins, notes, first = [0], [], 0
+    begins, notes = [0], []
     for at in np.flatnonzero(np.diff(time) < 0) + 1:
         if at <= begins[-1] + 1 or is_wrong(time, at, step) or is_wrong(time, at - 1, step):
             continue
@@ -104,8 +115,8 @@ def in_order(name: str, stamps: Stamps, same_stamp: str) -> Stamps:
     if not len(falls):
         return stamps
     for at in falls:
-        wrong = next((each for each in (at, at - 1) if is_wrong(time, each, step)), None)
-        if wrong is not None or not _sorts(time, at, step):
+        if not _sorts(time, at, step):
+            wrong = next((each for each in (at, at - 1) if is_wrong(time, each, step)), None)
             _refuse(name, stamps, at, wrong, len(falls))
     order = np.argsort(time, kind="stable")
     moved = np.flatnonzero(order != np.arange(len(order)))

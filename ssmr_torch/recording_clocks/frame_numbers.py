@@ -44,11 +44,12 @@ def uncounted(table: Table, name: str, used: tuple[str, ...]) -> list[Note]:
 
 
 def suspected(name: str, column: str, stamps: np.ndarray, unit: str) -> list[Note]:
-    """A note where stamps in ms or less count 0, 1, 2, … as frames do."""
-    if not len(stamps) or not counts_frames(stamps):
-        return []
+    """A note where stamps in ms or less count 0, 1, 2, … as frames do, or a column called frame has whole steps."""
+    steps = np.diff(stamps[np.isfinite(stamps)].astype(np.float64))
     named = any(column.lower().startswith(each) for each in NAMES)
-    if not named and stamps[0] not in (0, 1):
+    if not len(steps) or np.mod(steps, 1).any():
         return []
-    return [Note(name, "frame numbers", f"{column} holds whole numbers in steps of 1, read in {unit}: frames? Then give "
-                 f"columns.frame: {column} and their rate in Hz, as rate: 100", "kept")]
+    if not (counts_frames(stamps) and stamps[0] in (0, 1)) and not named:
+        return []
+    return [Note(name, "frame numbers", f"{column} holds whole numbers in steps of {np.median(steps):g}, read in "
+                 f"{unit}: frames? Then give columns.frame: {column} and their rate in Hz, as rate: 100", "kept")]

@@ -28,38 +28,50 @@ def gaps(name: str, time: np.ndarray, rows: np.ndarray) -> list[Note]:
         return []
     relative = steps / step
     notes = [_gap(name, place, steps[place - 1], step, rows) for place in find_time_gaps(time)]
+    odd = _odd(time, step)
     absent = np.flatnonzero((relative > ABSENT[0]) & (relative <= ABSENT[1])) + 1
+    absent = np.setdiff1d(absent, np.r_[odd, odd + 1])
     spread = float(np.quantile(np.abs(relative - 1), 0.95))
     if len(absent) and spread <= UNEVEN:
         lost = int(np.round(relative[absent - 1] - 1).sum())
-        notes.append(Note(name, "absent samples", f"{lost} samples are absent, before {rows_said(rows[absent])}; they "
-                          "are bridged", "bridged", tuple(rows[absent]), {"samples": lost}))
+        notes.append(Note(name, "absent samples", f"{samples(lost)} {'is' if lost == 1 else 'are'} absent, before "
+                          f"{rows_said(rows[absent])}; bridged", "bridged", tuple(rows[absent]), {"samples": lost}))
     elif spread > UNEVEN:
         notes.append(Note(name, "jitter", f"the sampling intervals deviate by {100 * spread:.2g} % from {step:.4g} s; "
                           "where the sampling was even and only the stamps are not, set stamps: even", "kept", (),
                           {"share": spread, "interval_s": step}))
-    notes += _odd(name, time, step, rows)
-    return notes
+    return notes + ([_odd_said(name, time, odd, rows)] if len(odd) else [])
+
+
+def samples(count: int) -> str:
+    """A number of samples in words."""
+    return f"{count} sample{'' if count == 1 else 's'}"
 
 
 def _gap(name: str, place: int, length: float, step: float, rows: np.ndarray) -> Note:
     lost = round(length / step - 1)
     said = f"the clock jumps by {length:.4g} s before row {rows[place]}, to another setting" if length > EPOCH else (
-        f"{lost} samples are missing before row {rows[place]}, a gap of {length:.4g} s")
+        f"{samples(lost)} are missing before row {rows[place]}, a gap of {length:.4g} s")
     return Note(name, "gap", f"{said}; the run is cut there", "cut", (rows[place],),
                 {"samples": lost, "gap_s": float(length)})
 
 
-def _odd(name: str, time: np.ndarray, step: float, rows: np.ndarray) -> list[Note]:
-    """Single stamps between two good neighbours of an otherwise steady clock."""
-    middle = time[1:-1] - (time[:-2] + time[2:]) / 2
-    whole = np.abs(time[2:] - time[:-2] - 2 * step) <= STEADY * step
+def _odd(time: np.ndarray, step: float) -> np.ndarray:
+    """Rows of single stamps that lie off the middle of two good neighbours, in an otherwise steady clock."""
     if np.median(np.abs(np.diff(time) / step - 1)) > STEADY:
-        return []
-    odd = np.flatnonzero(whole & (np.abs(middle) > ODD * step)) + 1
-    if not len(odd) or len(odd) > max(1, MOST_ODD * len(time)):
-        return []
-    worst = odd[np.argmax(np.abs(middle[odd - 1]))]
-    return [Note(name, "odd stamp", f"the stamp of {rows_said(rows[odd])} is up to {1e3 * abs(middle[worst - 1]):.3g} "
-                 f"ms {'early' if middle[worst - 1] < 0 else 'late'} between even ones; set stamps: even where the "
-                 "sampling was even", "kept", tuple(rows[odd]), {"deviation_s": float(middle[worst - 1])})]
+        return np.empty(0, dtype=int)
+    whole = np.abs(time[2:] - time[:-2] - 2 * step) <= STEADY * step
+    odd = np.flatnonzero(whole & (np.abs(_off_middle(time)) > ODD * step)) + 1
+    return odd if len(odd) <= max(1, MOST_ODD * len(time)) else odd[:0]
+
+
+def _off_middle(time: np.ndarray) -> np.ndarray:
+    return time[1:-1] - (time[:-2] + time[2:]) / 2
+
+
+def _odd_said(name: str, time: np.ndarray, odd: np.ndarray, rows: np.ndarray) -> Note:
+    off = _off_middle(time)[odd - 1]
+    worst = float(off[np.argmax(np.abs(off))])
+    return Note(name, "odd stamp", f"the stamp of {rows_said(rows[odd])} is up to {1e3 * abs(worst):.3g} ms "
+                f"{'early' if worst < 0 else 'late'} between even ones; set stamps: even where the sampling was even",
+                "kept", tuple(rows[odd]), {"deviation_s": worst})

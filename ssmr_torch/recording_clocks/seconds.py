@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ssmr_torch.recording_clocks.bursts import even, mean_interval, refuse_bursts, refuse_shared_stamps
@@ -12,6 +14,7 @@ from ssmr_torch.recording_clocks.disorder import (
     Stamps,
     copies,
     in_order,
+    oldest_first,
     parts_between_restarts,
     unwrapped,
     without_copies,
@@ -23,6 +26,7 @@ from ssmr_torch.recording_files.note import Note
 from ssmr_torch.recording_files.table import Table
 
 APART = FAR / 2     # intervals between two runs of one file, so that they are cut there
+ALREADY = 1e-4      # intervals by which stamps may be moved that are even already
 
 
 def clock_of(table: Table, name: str, file: str, rules: ClockRules) -> Clock:
@@ -33,26 +37,37 @@ def clock_of(table: Table, name: str, file: str, rules: ClockRules) -> Clock:
     Raises ValueError, with the remedy, for stamps that are no times, an implausible interval, a clock with too few
     digits, bursts, wrong single stamps, and rows that share a stamp.
     """
+    rules = _as_in_file(rules, table)
     if rules.time is None and rules.frame is None:
         interval = table.interval if rules.interval is None else rules.interval
         if interval is None:
             raise ValueError(f"{file} has no clock: name its column of time, columns.time, or of frame numbers, "
                              "columns.frame with rate, or give sampling_time")
         rows = np.arange(table.length)
-        return Clock(interval * rows, rows, tuple(uncounted(table, name, rules.data)))
+        return Clock(interval * rows, rows, tuple(uncounted(table, name, (*rules.outputs, *rules.inputs))))
     raw, scale, unit = _stamps(table, file, rules)
     time, first = exact_seconds(raw, unit) if unit else (scale * raw, 0)
     there = np.flatnonzero(np.isfinite(time))
     if len(there) < 2:
-        raise ValueError(f"{name}: {len(there)} of {len(time)} rows have a stamp; expected one in each row")
+        raise ValueError(f"{name}: {len(there)} of {len(time)} rows have a stamp; expected one in each row: correct "
+                         "columns.time, or give sampling_time")
     stamps = Stamps(time[there], there)
-    column = rules.frame or _named(rules.time)
     if rules.stamps == "even":
         clock = _spread(name, Stamps(time, np.arange(len(time))), rules)
     else:
-        clock = _ordered(table, name, stamps, scale, rules, raw[there], column)
+        clock = _ordered(table, name, file, stamps, scale, rules, raw[there])
     origin = round(first * scale * SECOND) if unit != "ns" else first
     return _with_unstamped(clock, table.length)._replace(origin=origin)
+
+
+def _as_in_file(rules: ClockRules, table: Table) -> ClockRules:
+    """The rules with the columns' names in the file: "time [ms]" for "time"."""
+    def found(name: str) -> str:
+        return table.find(name) or name
+
+    times = found(rules.time) if isinstance(rules.time, str) else rules.time and tuple(map(found, rules.time))
+    return replace(rules, time=times, frame=rules.frame and found(rules.frame),
+                   outputs=tuple(map(found, rules.outputs)), inputs=tuple(map(found, rules.inputs)))
 
 
 def _named(time) -> str:
@@ -67,10 +82,7 @@ def _stamps(table: Table, file: str, rules: ClockRules) -> tuple[np.ndarray, flo
             raise ValueError(f"{file}: column {rules.frame!r} counts frames; give their rate in Hz, as rate: 100")
         return frames(table, rules.frame, file), 1 / rate, ""
     names = [rules.time] if isinstance(rules.time, str) else list(rules.time)
-    missing = [name for name in names if name not in table.columns]
-    if missing:
-        raise ValueError(f"{file} has no column {missing[0]!r} for the time; it has {list(table.columns)}")
-    columns = [_numeric(table.columns[name]) for name in names]
+    columns = [_numeric(_column(table, name, file)) for name in names]
     where = f"{file}, column {names[0]!r}"
     if len(names) == 2 and not any(map(is_text, columns)):
         whole, fraction = (column.astype(np.int64) for column in columns)
@@ -83,6 +95,11 @@ def _stamps(table: Table, file: str, rules: ClockRules) -> tuple[np.ndarray, flo
     return columns[0], TIME_UNITS[rules.unit], rules.unit
 
 
+def _column(table: Table, name: str, file: str) -> np.ndarray:
+    found = table.find(name)
+    return table.columns[found] if found else table.numbers([name], file)[:, 0]  # which refuses it
+
+
 def _numeric(column: np.ndarray) -> np.ndarray:
     """Text that holds numbers only as numbers; stamps of dates as they are."""
     if column.dtype.kind in "OSU":
@@ -93,20 +110,22 @@ def _numeric(column: np.ndarray) -> np.ndarray:
     return column.astype(np.float64) if column.dtype.kind in "bf" else column
 
 
-def _ordered(table: Table, name: str, stamps: Stamps, scale: float, rules: ClockRules, raw: np.ndarray,
-             column: str) -> Clock:
+def _ordered(table: Table, name: str, file: str, stamps: Stamps, scale: float, rules: ClockRules,
+             raw: np.ndarray) -> Clock:
+    column = rules.frame or _named(rules.time)
+    stamps = oldest_first(name, stamps)
     copied = copies(table, stamps)
     if rules.same_stamp == "refuse":
         refuse_shared_stamps(name, stamps.time, copied)
     if typical_step(stamps.time) == 0:
-        raise ValueError(f"{name}: the stamps fall in every row; expected increasing time")
+        raise ValueError(f"{name}: the stamps never rise; expected increasing time: give sampling_time instead")
     if rules.frame is None:
         refuse_bursts(name, stamps.time[~copied])
-    unit = "s" if is_text(table.columns[column]) else rules.unit
+    unit = "s" if is_text(_column(table, column, file)) else rules.unit
     refuse_implausible(name, typical_step(stamps.time), unit, rules.bounds, None if rules.frame else raw, column)
     notes = [] if rules.frame or unit == "s" else suspected(name, column, raw, unit)
     stamps = without_copies(name, stamps, copied)
-    motion = np.nan_to_num(table.numbers([each for each in rules.data if each in table.columns], name)[stamps.rows])
+    motion = np.nan_to_num(table.numbers([each for each in rules.outputs if table.find(each)], name)[stamps.rows])
     stamps = unwrapped(name, stamps, scale, motion)
     parts, found = parts_between_restarts(name, stamps)
     notes += found
@@ -141,6 +160,8 @@ def _spread(name: str, stamps: Stamps, rules: ClockRules) -> Clock:
     moved = max(float(np.nanmax(np.abs(piece.time - stamps.time[piece.rows]))) for piece in pieces)
     interval = float(np.median(np.diff(pieces[0].time)))
     refuse_implausible(name, interval, rules.unit, rules.bounds)
+    if moved < ALREADY * interval and finite.all() and len(pieces) == 1:
+        return Clock(stamps.time, stamps.rows, tuple(gaps(name, stamps.time, stamps.rows)))
     note = Note(name, "even stamps", f"the samples are spread evenly, {interval:.5g} s apart; stamps moved by up to "
                 f"{moved:.3g} s", "corrected", (), {"interval_s": interval, "moved_s": moved})
     found = [each for piece in pieces for each in gaps(name, piece.time, piece.rows) if each.kind == "gap"]

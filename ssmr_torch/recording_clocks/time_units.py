@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0}
-SYNONYMS = {"µs": "us", "μs": "us", "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "milliseconds": "ms", "usec": "us",
-            "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "minutes": "min", "days": "d"}
+SYNONYMS = {"µs": "us", "μs": "us", "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "milliseconds": "ms",
+            "usec": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "minutes": "min", "days": "d"}
 EXACT = 2 ** 40         # integers beyond lose digits as float64 seconds, so that the first is subtracted before
 FEW = 10                # whole steps smaller than this may number frames
 STEADY = 0.95           # share of the steps that are alike, where numbers count frames
@@ -25,7 +27,7 @@ def exact_seconds(stamps: np.ndarray, unit: str) -> tuple[np.ndarray, int]:
     return scale * stamps.astype(np.float64), 0
 
 
-def likely_units(interval: float, bounds: tuple[float, float]) -> list[str]:
+def likely_units(interval: float, bounds: Sequence[float]) -> list[str]:
     """Units in which an interval, in the numbers of the file, is plausible, within `bounds`, s."""
     return [unit for unit, scale in TIME_UNITS.items() if bounds[0] <= interval * scale <= bounds[1]]
 
@@ -39,7 +41,7 @@ def counts_frames(stamps: np.ndarray) -> bool:
     return bool(whole and np.median(steps) == 1 and np.mean(steps == 1) >= 1 - 2 * (1 - STEADY))
 
 
-def refuse_implausible(name: str, interval: float, unit: str, bounds: tuple[float, float],
+def refuse_implausible(name: str, interval: float, unit: str, bounds: Sequence[float],
                        stamps: np.ndarray | None = None, column: str | None = None) -> None:
     """Raises ValueError for a median sampling interval (s, of stamps in `unit`) that is not within `bounds`, s.
 

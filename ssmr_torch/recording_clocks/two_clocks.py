@@ -17,11 +17,12 @@ FARTHEST = 5.0          # s, of offsets that are looked for where the clocks tel
 WINDOWS, WINDOW = 8, 4.0    # stretches in which the offset is estimated, to see it drift, and s of the shortest
 HELD = 2.0              # longest intervals between commands for which the last is held
 SLOWEST = 0.5           # samples by which a drift must move the inputs to be said
+AROUND = np.linspace(-1.5, 1.5, 13)     # samples around a first guess where the search begins
 
 
 class Shift(NamedTuple):
-    """offset: s, and drift: share, that are added to the inputs' time: t + offset + drift·(t − first). told: whether the
-    recordings tell them. moved, drifted: whether each differs from 0 clearly.
+    """offset: s, and drift: share, that are added to the inputs' time: t + offset + drift·(t − first). told: whether
+    the recordings tell them. moved, drifted: whether each differs from 0 clearly.
     """
 
     offset: float = 0.0
@@ -42,7 +43,7 @@ def joined(name: str, outputs: Clock, observation: np.ndarray, commands: Clock, 
     Raises ValueError for clocks that share too little time, or that start again.
     """
     if any(note.kind == "clock restarts" for note in (*outputs.notes, *commands.notes)):
-        raise ValueError(f"{name}: one of the two clocks starts again, so the other cannot follow; cut both files there")
+        raise ValueError(f"{name}: one of the two clocks starts again, which the other does not; cut both files there")
     time = np.interp(np.arange(len(outputs.time)), np.flatnonzero(np.isfinite(outputs.time)),
                      outputs.time[np.isfinite(outputs.time)])
     there = np.isfinite(commands.time)
@@ -54,17 +55,18 @@ def joined(name: str, outputs: Clock, observation: np.ndarray, commands: Clock, 
         found = estimate(time, observation, sent, held)
         found = found._replace(offset=found.offset + base)
         sent = sent - base
-    used = Shift(found.offset if offset == "auto" else float(offset), found.drift if drift == "auto" else 1e-6 * float(drift))
-    notes = _said(name, found, used, offset == "auto" or drift == "auto", typical_step(time))
+    given = 0.0 if "auto" in (offset, drift) and not found.told else found.drift
+    used = Shift(found.offset if offset == "auto" else float(offset), given if drift == "auto" else 1e-6 * float(drift))
+    notes = [] if still else _said(name, found, used, offset == "auto" or drift == "auto", typical_step(time))
     sent = sent + used.offset + used.drift * (sent - sent[0])
     kept = np.ones(len(time), dtype=bool) if still else _known(time, sent)
     if not kept.all():
         cut = outputs.rows[~kept]
-        notes.append(Note(name, "no inputs", f"no inputs are known at {rows_said(cut)}, before the first command or long "
-                          "after the last; cut", "cut", tuple(cut)))
+        notes.append(Note(name, "no inputs", f"no inputs are known at {rows_said(cut)}, before the first command or "
+                          "long after the last; cut", "cut", tuple(cut)))
         if kept.sum() < 2:
-            raise ValueError(f"{name}: inputs from {sent[0]:.6g} to {sent[-1]:.6g} s are known at {int(kept.sum())} of the "
-                             f"{len(time)} samples, from {time[0]:.6g} to {time[-1]:.6g} s; give clock_offset")
+            raise ValueError(f"{name}: inputs from {sent[0]:.6g} to {sent[-1]:.6g} s are known at {int(kept.sum())} of "
+                             f"the {len(time)} samples, from {time[0]:.6g} to {time[-1]:.6g} s; give clock_offset")
     clock = Clock(outputs.time[kept], outputs.rows[kept],
                   (*outputs.notes, *(note for note in commands.notes if note.kind != "gap"), *notes), outputs.origin)
     return clock, observation[kept], _held(time, sent, held)[kept]
@@ -96,12 +98,13 @@ def estimate(time: np.ndarray, observation: np.ndarray, sent: np.ndarray, inputs
         return error_of((y, held(of[0] * step, of[1] * step / span)), step)
 
     starts = ([-first.samples, 0.0], [offset / step, drift * span / step])
-    start = min(starts, key=error)
-    steps = np.array([start, [start[0] + 0.4, start[1]], [start[0], start[1] + 0.8]])
+    start = min(([each[0] + more, each[1]] for each in starts for more in AROUND), key=error)
+    steps = np.array([start, [start[0] + 0.3, start[1]], [start[0], start[1] + 0.6]])
     best = minimize(error, start, method="Nelder-Mead", options={
         "initial_simplex": steps, "xatol": 0.01, "fatol": 1e-5 * error(start), "maxfev": 80})
-    alone = minimize(lambda of: error([of[0], 0.0]), [start[0] + start[1] / 2], method="Nelder-Mead", options={
-        "xatol": 0.01, "fatol": 1e-5 * best.fun, "maxfev": 40})
+    near = min((start[0] + start[1] / 2 + more for more in AROUND), key=lambda of: error([of, 0.0]))
+    alone = minimize(lambda of: error([of[0], 0.0]), [near], method="Nelder-Mead", options={
+        "initial_simplex": np.array([[near], [near + 0.15]]), "xatol": 0.01, "fatol": 1e-5 * best.fun, "maxfev": 40})
     drifted = bool(abs(best.x[1]) > SLOWEST and alone.fun > (1 + CLEAR) * best.fun)
     at = best.x if drifted else np.array([alone.x[0], 0.0])
     needed = CLEAR if abs(at[0]) > 1.5 or drifted else CLEAR_ONE
@@ -135,9 +138,9 @@ def _on_one_epoch(name: str, time: np.ndarray, sent: np.ndarray, offset: float |
         return sent + given, given
     if offset != "auto":
         raise ValueError(f"{name}: the outputs last from {time[0]:.10g} to {time[-1]:.10g} s, the inputs from "
-                         f"{sent[0] + given:.10g} to {sent[-1] + given:.10g} s of another clock; give clock_offset, "
-                         f"s that are added to the inputs' stamps (about {time[0] - sent[0] - given:.6g} where both began "
-                         "together), or auto")
+                         f"{sent[0] + given:.10g} to {sent[-1] + given:.10g} s of another clock; give clock_offset: "
+                         f"auto, or s that are added to the inputs' stamps, about {time[0] - sent[0] - given:.10g} if "
+                         "both began together")
     return sent + (time[0] - sent[0]), float(time[0] - sent[0])
 
 
@@ -158,17 +161,22 @@ def _held(time: np.ndarray, sent: np.ndarray, inputs: np.ndarray) -> np.ndarray:
     return (impulse[place[len(time):]] - impulse[place[:len(time)]]) / (ends - time)[:, None]
 
 
+def _duration(seconds: float) -> str:
+    return f"{1e3 * seconds:.4g} ms" if abs(seconds) < 10 else f"{seconds:.10g} s"
+
+
 def _said(name: str, found: Shift, used: Shift, asked: bool, step: float) -> list[Note]:
     numbers = {"clock_offset_s": found.offset, "clock_drift_ppm": 1e6 * found.drift}
     if asked:
-        said = (f"{1e3 * used.offset:.4g} ms and {1e6 * used.drift:.3g} ppm are added to the inputs' clock" if found.told
-                else "the motion does not tell the offset between the clocks; nothing was added to the inputs' clock")
+        said = (f"{_duration(used.offset)} and {1e6 * used.drift:.4g} ppm are added to the inputs' clock" if found.told
+                else f"the motion does not tell the offset between the clocks; {_duration(used.offset)} were added to "
+                "the inputs' clock")
         return [Note(name, "two clocks", said, "corrected" if found.told else "kept", (), numbers)]
     off = found.offset - used.offset if found.moved else 0.0
     if not (found.told and (abs(off) > SLOWEST * step or (found.drifted and abs(found.drift - used.drift) > 1e-6))):
         return []
-    drifts = f", and drifts by {1e6 * found.drift:.3g} ppm" if found.drifted else ""
-    return [Note(name, "two clocks", f"the inputs' clock is {1e3 * abs(found.offset):.4g} ms "
+    drifts = f", and drifts by {1e6 * found.drift:.4g} ppm" if found.drifted else ""
+    return [Note(name, "two clocks", f"the inputs' clock is {_duration(abs(found.offset))} "
                  f"{'behind' if found.offset > 0 else 'ahead of'} the outputs'{drifts}, or the robot answers late; set "
                  f"clock_offset: auto, or {found.offset:.4g}{' with clock_drift: auto' if found.drifted else ''}, to "
                  "remove it", "kept", (), numbers)]

@@ -82,7 +82,8 @@ def _with_names_of_comments(lines: list[str], rows: list[str], delimiter: str, d
 def _header(rows: list[str], delimiter: str, decimal: str, file: str) -> tuple[int, list[str], list[str], int]:
     """Lines above the names, the names, the cells of the row of units (none: []), and the first row of samples."""
     cells = [split_row(row, delimiter) for row in rows[:SAMPLE]]
-    counted = [any(is_number(cell, decimal) for cell in row) for row in cells]
+    # The unit "1" is a number, but a row of units holds others as well.
+    counted = [any(is_number(cell, decimal) for cell in row) and not says_units(row) for row in cells]
     width = _width([row for row, has in zip(cells, counted) if has])
     first = next((k for k in range(len(cells)) if counted[k] and all(counted[k:k + 3]) and len(cells[k]) == width),
                  next((k for k in range(1, len(cells)) if counted[k]), min(len(cells), 1)))
@@ -98,7 +99,8 @@ def _header(rows: list[str], delimiter: str, decimal: str, file: str) -> tuple[i
     block = cells[top:last + 1]
     if first == len(cells) or (last + 1 == first == len(cells)):
         first = last + 1
-    units = next((row for row in block[1:] if says_units(row)), block[1] if len(block) == 2 else [])
+    grouped = len(block) > 1 and _filled(block[0]) < _filled(block[1])
+    units = next((row for row in block[1:] if says_units(row)), block[1] if len(block) == 2 and not grouped else [])
     names = [row for row in block if row is not units]
     joined = [name.strip() for name in names[0]] if len(names) == 1 else _joined(names)
     return top, joined, units, last + 1
@@ -113,6 +115,10 @@ def _joined(rows: list[list[str]]) -> list[str]:
         above = rows[0][place].strip() or above if place < len(rows[0]) else above
         parts.append("_".join(filter(None, (above, below.strip()))))
     return parts
+
+
+def _filled(cells: list[str]) -> int:
+    return sum(bool(cell.strip()) for cell in cells)
 
 
 def _each_once(names: list[str]) -> list[str]:
@@ -142,7 +148,7 @@ def _delimiter(rows: list[str]) -> str:
             continue
         same = [cell for row in cut if len(row) == width for cell in row]
         known = sum(number(cell) is not None or number(cell, ",") is not None for cell in same)
-        score = (len(same) / width / len(cut), known / len(same))
+        score = (len(same) / width / len(sample), known / len(same))
         if score > best:
             best, found = score, delimiter
     header = rows[0] if rows else ""

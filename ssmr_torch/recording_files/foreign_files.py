@@ -21,6 +21,7 @@ REFUSED = {
 }
 HDF5_NAMES = (".h5", ".hdf5", ".hdf", ".nc")
 ROSBAGS = {".db3": b"SQLite format 3\0", ".mcap": b"\x89MCAP0\r\n", ".bag": b"#ROSBAG V2.0"}
+PAGES = (b"<!doctype html", b"<html", b"<?xml")
 PARQUET_NAMES = (".parquet", ".pq")
 
 
@@ -29,6 +30,8 @@ def refuse(head: bytes, path: Path) -> None:
     said = next((said for mark, said in REFUSED.items() if head.startswith(mark)), None)
     if head.startswith(b"PK") and not is_npz(path):
         said = SHEET if _holds(path, "xl/", "content.xml") else "a ZIP archive; unpack it first"
+    if head.lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(PAGES):
+        said = "a page of the web or XML, not a recording; download or export the file again"
     if said:
         raise ValueError(f"{path.name} is {said}")
     if path.suffix.lower() in HDF5_NAMES and not is_hdf5(path) and not head.startswith(b"CDF"):

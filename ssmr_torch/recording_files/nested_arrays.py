@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -53,7 +54,7 @@ def tables_of(tree: Mapping, format: str, file: str) -> list[Table]:
     a clock of its own.
     Raises ValueError when there is no array of numbers.
     """
-    tables = [table for run, content in _runs(tree) for table in _tables(run, dict(_flat(content)), format)]
+    tables = [table for run, content in _runs(tree) for table in _tables(run, _without_common(_flat(content)), format)]
     if not tables:
         raise ValueError(f"{file} holds no numeric dataset; expected one per column, (T,) or (T, p)")
     return tables
@@ -71,8 +72,21 @@ def _runs(tree: Mapping) -> list[tuple[str, Mapping]]:
         (inside,) = groups.values()
         found = _runs(inside)
         return found if len(found) > 1 or found[0][0] else [("", tree)]
-    alike = _alike(groups)
-    return list(alike.items()) if alike and not _belong_together(alike, leaves) else [("", tree)]
+    for candidates in (groups, {} if leaves else dict(_groups_of_arrays(tree))):
+        alike = _alike(candidates)
+        if alike and not _belong_together(alike, leaves):
+            return list(alike.items())
+    return [("", tree)]
+
+
+def _groups_of_arrays(tree: Mapping, before: str = "") -> Iterator[tuple[str, Mapping]]:
+    """Path and content of every group, at any depth, that holds arrays."""
+    for name, child in tree.items():
+        if isinstance(child, Mapping):
+            if any(isinstance(each, Leaf) for each in child.values()):
+                yield f"{before}{name}", child
+            else:
+                yield from _groups_of_arrays(child, f"{before}{name}/")
 
 
 def _alike(groups: Mapping[str, Mapping]) -> dict[str, Mapping]:
@@ -102,6 +116,14 @@ def _flat(tree: Mapping, before: str = "") -> Iterator[tuple[str, Leaf]]:
             yield path, child
         elif isinstance(child, Mapping):
             yield from _flat(child, f"{path}/")
+
+
+def _without_common(leaves: Iterable[tuple[str, Leaf]]) -> dict[str, Leaf]:
+    """Arrays by their path, without a group that holds them all: "t" for "run/t"."""
+    leaves = list(leaves)
+    common = os.path.commonprefix([path.rpartition("/")[0] + "/" for path, _ in leaves])
+    common = common[:common.rfind("/") + 1]
+    return {path.removeprefix(common): each for path, each in leaves}
 
 
 def _tables(run: str, leaves: dict[str, Leaf], format: str) -> list[Table]:

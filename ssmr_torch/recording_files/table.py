@@ -90,7 +90,7 @@ class Table:
         words = [name for name in missing if name in self.columns]
         if words:
             return f"{listed}; {words} holds words"
-        nearest = difflib.get_close_matches(missing[0], self.columns, n=1, cutoff=0.6)
+        nearest = difflib.get_close_matches(missing[0], self.columns, n=1, cutoff=0.5)
         return f"{listed}; did you mean {nearest[0]!r}?" if nearest else listed
 
 

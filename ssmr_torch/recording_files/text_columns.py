@@ -143,4 +143,8 @@ def _column(column, decimal: str) -> np.ndarray:
     # A glance at the first cells spares a look at all of a column of words.
     if not any(is_number(str(cell), decimal) or number(str(cell), decimal) is not None for cell in text[:50]):
         return text
-    return numbers(text, decimal)
+    read = numbers(text, decimal)
+    if read.dtype.kind == "O" and decimal == ",":  # what is a number has a point from here on
+        read = np.array([cell.replace(",", ".") if isinstance(cell, str) and is_number(cell, ",") else cell
+                         for cell in read], dtype=object)
+    return read

@@ -5,7 +5,7 @@ import logging
 import numpy as np
 import pytest
 
-from ssmr_torch.recording_files.column_files import read_columns
+from ssmr_torch.recording_files.reading import read_tables
 
 nan, inf = float("nan"), float("inf")
 
@@ -14,7 +14,8 @@ nan, inf = float("nan"), float("inf")
 def columns(tmp_path):
     def read(text, encoding="utf-8", name="file.csv"):
         (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode(encoding))
-        return {name: values.tolist() for name, values in read_columns(tmp_path / name).items()}
+        (table,) = read_tables(tmp_path / name)
+        return {column: table.numbers([column], name)[:, 0].tolist() for column in table.columns}
 
     return read
 
@@ -70,7 +71,7 @@ def test_what_was_left_out_or_supposed_is_said(columns, caplog):
     ("t,x\n0,True\n", "column 'x' holds 'True'"), ("t,x\n0,1_000\n", "column 'x' holds '1_000'"),
     ("t,x\n0,1.5D-3\n", "column 'x' holds '1.5D-3'"), ("t;x\n0,0;1,5\n0,1;oops\n", r"row 1 .* column 'x' holds 'oops'"),
     ("t;x\n0;1.5\n1;2,5\n", r"row 1 .*'2,5'; expected a number \(commas are decimal signs only where no cell has"),
-    ("t,x\noops,oops\nno,no\n", r"row 0 \(from 0\), column 't' holds 'no'"),
+    ("t,x\noops,oops\nno,no\n", r"row 0 \(from 0\), column 't' holds 'oops'"),
     ("t,x\n0,\"1\n1,2\n", "look for quotation marks without a partner"), ("\n\n", "expected the names of the columns"),
     ("0;1\n1;2\n", "the first row is '0;1'; expected the names"), ("t,x\n", "has a header but no rows"),
     (b"\x89PNG\r\n\x1a\n\x00\x00\x00", "is not a text file .*zero bytes.*; expected CSV"),
@@ -78,19 +79,3 @@ def test_what_was_left_out_or_supposed_is_said(columns, caplog):
 def test_what_cannot_be_meant_is_refused_with_the_place(columns, text, message):
     with pytest.raises(ValueError, match=message):
         columns(text)
-
-
-def test_the_columns_of_numbers_of_a_parquet_file_equal_those_of_csv(columns, tmp_path):
-    pytest.importorskip("pyarrow")
-    import pandas
-
-    frame = pandas.DataFrame({"t": [0, 1], "x": [1.5, nan], "note": ["a", "b"]})
-    frame.to_parquet(tmp_path / "a.parquet")
-    read = read_columns(tmp_path / "a.parquet")
-    assert list(read) == ["t", "x"] and read["t"].dtype == np.float64
-    np.testing.assert_array_equal(read["x"], [1.5, nan])
-    with pytest.raises(ValueError, match="b.parquet cannot be read"):
-        columns("t,x\n0,1\n", name="b.parquet")
-    frame[["note"]].to_parquet(tmp_path / "c.parquet")
-    with pytest.raises(ValueError, match=r"c.parquet holds no rows of numbers; its columns are \['note'\]"):
-        read_columns(tmp_path / "c.parquet")
