@@ -12,7 +12,7 @@ CHOICES = {
     "exchanged_markers": ("cut", "correct", "refuse", "keep"),
     "outliers": ("bridge", "cut", "refuse", "keep"),
     "held_values": ("bridge", "cut", "refuse", "keep"),
-    "slow_camera": ("refuse", "thin", "keep"),
+    "slow_camera": ("refuse", "bridge", "thin", "keep"),
     "dead_columns": ("refuse", "keep"),
     "wrong_units": ("refuse", "keep"),
     "rest_position": ("refuse", "keep"),

@@ -8,7 +8,7 @@ import pytest
 import ssmr_torch as ssmr
 from ssmr_torch.recording_checks.finding import Finding
 
-SUBJECTS = {"decays", "range", "dither", "held-out runs", "noise", "sampling", "delay", "friction", "drift",
+SUBJECTS = {"faults", "decays", "range", "dither", "held-out runs", "noise", "sampling", "delay", "friction", "drift",
             "neutral input"}
 
 
@@ -26,7 +26,7 @@ def ramps(rng, seconds, step):
 def test_good_recordings_give_no_warning(robot):
     report = ssmr.check(robot())
     assert {finding.subject for finding in report.findings} == SUBJECTS
-    assert report.counts() == {"good": 9, "warning": 0, "missing": 0, "unknown": 1}
+    assert report.counts() == {"good": 10, "warning": 0, "missing": 0, "unknown": 1}
     assert report["friction"].severity == "unknown"
 
 
