@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ssmr_torch.result_files import save_text
 
+
 @dataclass(frozen=True)
 class CommandLine:
     """A command with overrides under which it works; `{data}`, `{artifact}` … stand for files of `prepared`."""

@@ -35,9 +35,9 @@ def test_frame_numbers_are_suspected_and_not_taken_for_milliseconds(rig):
     assert "frame" in said and "rate" in said and "look like ms" not in said
 
 
-@pytest.mark.parametrize(("unit", "stamp"), [("ns", lambda k: 1700000000000000000 + 10000000 * k),
-                                             ("us", lambda k: 10000 * k), ("ms", lambda k: 10 * k),
-                                             ("ns", lambda k: 10000000 * k), ("us", lambda k: 1700000000000000 + 10000 * k)])
+@pytest.mark.parametrize(("unit", "stamp"), [
+    ("ns", lambda k: 1700000000000000000 + 10000000 * k), ("us", lambda k: 10000 * k), ("ms", lambda k: 10 * k),
+    ("ns", lambda k: 10000000 * k), ("us", lambda k: 1700000000000000 + 10000 * k)])
 def test_nanoseconds_and_microseconds_are_exact(tmp_path, unit, stamp):
     holds_the_small_run(in_small(tmp_path, [stamp(k) for k in range(20)], units=units(unit)))
 
@@ -83,7 +83,7 @@ def test_stamps_with_a_time_zone_pass_the_change_of_the_clocks(tmp_path):
     stamps += [f"2024-03-31T03:00:00.{10 * k:03d}+02:00" for k in range(10)]
     rig = in_small(tmp_path, stamps)
     holds_the_small_run(rig)
-    assert rig.said == []
+    assert not any("clock" in text or "stamp" in text or "gap" in text for text in rig.said), rig.said
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import pytest
 import scipy.io
 import yaml
 from recordings_of_rigs.base_set import base_set, small
+
 from ssmr_torch.data.card_reader import custom
 
 K = np.arange(20)
@@ -63,7 +64,7 @@ def test_every_dialect_of_text_is_read_as_m(tmp_path, dialect):
 def test_tokens_for_a_missing_value_leave_a_bridge_or_two_pieces(tmp_path, token):
     rows = [row if place != 10 else row.replace(",-3,", f",{token},") for place, row in enumerate(ROWS)]
     dataset = read(tmp_path, lines(HEADER, *rows), missing="split", minimum_length=2)
-    assert len(dataset) == 2 and sum(run.length for run in dataset) == 19 or len(dataset) == 1 and dataset[0].length == 20
+    assert [run.length for run in dataset] in ([10, 9], [20])
     assert 1e3 * dataset[-1].observation[-1, 0] == pytest.approx(1.9, abs=1e-9)
 
 
@@ -105,8 +106,8 @@ def test_a_controlled_run_that_was_cut_inside_its_last_input_loses_that_row(tmp_
 
 
 MOTIVE = lines(
-    "Format Version,1.23,Take Name,m,Capture Frame Rate,100.000000,Export Frame Rate,100.000000,Rotation Type,Quaternion,"
-    "Total Frames in Take,20,Total Exported Frames,20,Length Units,Millimeters,Coordinate Space,Global", "",
+    "Format Version,1.23,Take Name,m,Capture Frame Rate,100.000000,Export Frame Rate,100.000000,Rotation Type,"
+    "Quaternion,Total Frames in Take,20,Total Exported Frames,20,Length Units,Millimeters,Coordinate Space,Global", "",
     ",,Marker,Marker,Marker", ",,tip,tip,tip", ",,1,1,1", ",,Position,Position,Position", "Frame,Time (Seconds),X,Y,Z",
     *(f"{k},{k / 100:.6f},{5 + 0.1 * k:.6f},-3.000000,120.000000" for k in range(20)))
 QUALISYS = lines("NO_OF_FRAMES\t20", "NO_OF_CAMERAS\t8", "NO_OF_MARKERS\t1", "FREQUENCY\t100", "NO_OF_ANALOG\t0",
@@ -218,7 +219,8 @@ def test_runs_with_one_file_name_are_named_after_their_folders(tmp_path):
 
 @pytest.mark.parametrize("name", ["001", "2024-03-01"])
 def test_a_run_whose_name_yaml_reads_otherwise_is_found_or_the_quotes_are_asked_for(tmp_path, name):
-    (tmp_path / f"{name}.csv").write_bytes(lines(HEADER, *(f"{k / 100},{6 * .9 ** k + 5},-3,120,0,0" for k in range(20))))
+    rows = [f"{k / 100},{6 * 0.9**k + 5},-3,120,0,0" for k in range(20)]
+    (tmp_path / f"{name}.csv").write_bytes(lines(HEADER, *rows))
     (tmp_path / "card.yaml").write_text(CARD_TEXT.replace("m.csv", f'"{name}.csv"') + f"decays: [{name}]\n")
     try:
         run, = custom(tmp_path / "card.yaml")
