@@ -100,8 +100,9 @@ def _others(moving: Sequence[Trajectory], common: Lag, step: float) -> list[tupl
 def _note(runs: Sequence[Trajectory], lag: float, found: Lag | None, step: float, done: str) -> Note:
     names = [run.name for run in runs]
     named = ", ".join(names) if len(names) <= 4 else f"{', '.join(names[:3])} and {len(names) - 3} more runs"
-    between = "" if found is None else (f" ({samples(abs(found.samples))}, between {1e3 * found.low * step:.3g} and "
-                                        f"{1e3 * found.high * step:.3g} ms)")
+    low, high = ((found.low - 1) * step, (found.high + 1) * step) if found is not None else (lag, lag)
+    between = "" if found is None else (f" ({samples(abs(found.samples))}, between {1e3 * low:.3g} and "
+                                        f"{1e3 * high:.3g} ms)")
     if done == "corrected":
         side = "late" if lag > 0 else "early"
         said = f"the inputs, {1e3 * abs(lag):.3g} ms {side}{between}, are shifted to where they act"
@@ -111,7 +112,7 @@ def _note(runs: Sequence[Trajectory], lag: float, found: Lag | None, step: float
     else:
         said = (f"the motion comes {-1e3 * lag:.3g} ms{between} after its inputs, by a delay of the robot or of the "
                 f"log; set input_lag: remove, or {lag:.4g}, to shift them, or give the model delays")
-    numbers = {"lag_s": lag} | ({} if found is None else {"low_s": found.low * step, "high_s": found.high * step})
+    numbers = {"lag_s": lag} | ({} if found is None else {"low_s": low, "high_s": high})
     return Note(named, "input lag", said, done, (), numbers)
 
 
