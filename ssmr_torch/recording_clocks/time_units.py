@@ -66,8 +66,8 @@ def refuse_implausible_rate(name: str, column: str, rate: float, interval: float
     """Raises ValueError where frames of this rate, in Hz, come at an interval, s, that is not within `bounds`, s."""
     if not bounds[0] <= interval <= bounds[1]:
         raise ValueError(f"{name}: {column} counts frames {interval * rate:.4g} apart, at rate: {rate:g} that is every "
-                         f"{interval:.3g} s; expected between {bounds[0]:g} and {bounds[1]:g} s: correct rate, in Hz, or "
-                         "widen interval_range where the value is true")
+                         f"{interval:.3g} s; expected between {bounds[0]:g} and {bounds[1]:g} s: correct rate, in Hz, "
+                         "or widen interval_range where the value is true")
 
 
 def _all_whole(stamps: np.ndarray) -> bool:
