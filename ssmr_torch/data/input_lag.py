@@ -44,7 +44,7 @@ def with_lag(dataset: TrajectoryDataset, rule: str | float = "keep", told: bool 
     common = [run for run in moving if run.name not in [other.name for other, _ in others]]
     if rule == "keep":
         notes = [_note(common, found.samples * step, found, step, "kept")] if found.significant and common else []
-        notes += [_note([run], lag.samples * step, lag, step, "kept") for run, lag in others]
+        notes += [_note([run], lag.samples * step, lag, step, "kept") for run, lag in others if lag.samples]
         return _noted(dataset, notes)
     if found.samples is None:
         raise ValueError("input_lag is remove, but these recordings do not tell a lag, since their inputs change too "
@@ -53,7 +53,7 @@ def with_lag(dataset: TrajectoryDataset, rule: str | float = "keep", told: bool 
     lags |= {run.name: lag.samples * step for run, lag in others}
     notes = [_note(common, found.samples * step, found, step, "corrected")] if found.samples and common else []
     return _shifted(dataset, lags, notes + [_note([run], lag.samples * step, lag, step, "corrected")
-                                            for run, lag in others])
+                                            for run, lag in others if lag.samples])
 
 
 def shifted(run: Trajectory, lag: float) -> Trajectory:
