@@ -22,7 +22,7 @@ def main(config, directory):
     print(found)
     save_text(directory / "contents.txt", f"{found}\n")
     save_text(card, first_card(found, card.parent))
-    print(f"\n{card.read_text()}\n{card}")
+    print(f"\n{card.read_text(encoding='utf-8')}\n{card}")
     try:
         loaded = custom(card)
         said = f"the card loads {len(loaded)} runs; correct its guesses, then: ssmr check recordings={card}"

@@ -16,6 +16,7 @@ from pathlib import Path
 from ssmr_torch import __version__
 from ssmr_torch.extras import remedy, require
 from ssmr_torch.interruption import ended_in_order
+from ssmr_torch.quiet_libraries import print_anything
 from ssmr_torch.renamed import COMMANDS as RENAMED
 from ssmr_torch.renamed import SINCE, refuse_old_names
 
@@ -29,6 +30,7 @@ COMPLETION = ("-sc", "--shell-completion")  # as Hydra has it
 
 def main() -> int | None:
     """The command line; returns the exit status, or what the entry point returns. Bad input ends in one message."""
+    print_anything()
     arguments = sys.argv[1:]
     first = arguments[0] if arguments else "--help"
     if first in ("-h", "--help"):
@@ -62,7 +64,7 @@ def start(command: str, arguments: list[str], program: str | None = None) -> int
     try:
         if any(argument.startswith(SEARCH) for argument in arguments):
             require("optuna")  # else Hydra says only that it has no such sweeper
-        entry = import_module(f"ssmr_torch.experiments.{script(command).stem}").main
+        entry = module_of(command).main
     except ModuleNotFoundError as error:
         if remedy(error) is None:
             raise
@@ -70,6 +72,11 @@ def start(command: str, arguments: list[str], program: str | None = None) -> int
         return 1
     entry()
     return 0
+
+
+def module_of(command: str):
+    """The script of a command as a module."""
+    return import_module(f"ssmr_torch.experiments.{script(command).stem}")
 
 
 def with_files(command: str, arguments: list[str]) -> list[str]:
@@ -91,7 +98,8 @@ def script(command: str) -> Path:
 
 def usage() -> str:
     """What `ssmr --help` prints: every command with the first sentence of its script."""
-    said = {name: ast.get_docstring(ast.parse(script(name).read_text())).splitlines()[0] for name in COMMANDS}
+    texts = {name: script(name).read_text(encoding="utf-8") for name in COMMANDS}
+    said = {name: ast.get_docstring(ast.parse(text)).splitlines()[0] for name, text in texts.items()}
     width = max(map(len, said))
     return "\n".join([
         "ssmr COMMAND [key=value …]: learn the dominant dynamics of a robot from trajectories, and control it", "",

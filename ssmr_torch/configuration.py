@@ -22,7 +22,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.object_type import ObjectType
 from hydra.plugins.config_source import ConfigResult
 from hydra.utils import instantiate
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, MissingMandatoryValue, OmegaConf, open_dict
+from omegaconf.errors import InterpolationResolutionError
 
 from ssmr_torch import found_settings, option_tables
 from ssmr_torch.defaults_of_signatures import is_library, keyword_defaults
@@ -115,6 +116,17 @@ def composed(entry: str, overrides: Sequence[str] = (), *, hydra: bool = False,
         return compose(entry, overrides, return_hydra_config=hydra)
 
 
+def as_in_a_job(entry: str, overrides: Sequence[str], directory: Path) -> DictConfig:
+    """A configuration as an entry point gets it from Hydra, for a run in this directory; `hydra:` resolves in it."""
+    config = composed(entry, overrides, hydra=True)
+    with open_dict(config):
+        config.hydra.runtime.output_dir = str(directory)
+        config.hydra.job.name, config.hydra.job.num = entry, 0
+        HydraConfig.instance().set_config(config)
+        del config["hydra"]
+    return config
+
+
 def options(group: str, config_dir: str | Path | None = None) -> list[str]:
     """Names of the options of a group, in files and tables of the package, of --config-dir, and of config_dir."""
     places = [folder(), *map(Path, own_folders()), *([] if config_dir is None else [Path(config_dir)])]
@@ -136,6 +148,18 @@ def plain(config: DictConfig, without: Sequence[str] = ()) -> dict:
     """A configuration as plain values, interpolations resolved; without these of its keys."""
     kept = OmegaConf.masked_copy(config, [key for key in config if key not in without])
     return OmegaConf.to_container(kept, resolve=True)
+
+
+def plain_values(config: DictConfig) -> dict:
+    """A configuration as plain values; a part with an interpolation that nothing resolves stays as it is written."""
+    values = OmegaConf.to_container(config)
+    for key, written_value in values.items():
+        try:
+            value = config[key]
+            values[key] = OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+        except (InterpolationResolutionError, MissingMandatoryValue):
+            values[key] = written_value
+    return values
 
 
 def changed(config: DictConfig, values: Mapping[str, object]) -> DictConfig:

@@ -14,13 +14,12 @@ from pathlib import Path
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import CompactHydraException, InstantiationException
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, MissingMandatoryValue, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
-from ssmr_torch.configuration import folder, register, settings_lines
+from ssmr_torch.configuration import folder, plain_values, register, settings_lines
+from ssmr_torch.configuration_check import check_values
 from ssmr_torch.extras import remedy
 from ssmr_torch.interruption import END, belong_to, ended_in_order
 from ssmr_torch.provenance import provenance
@@ -28,6 +27,7 @@ from ssmr_torch.quiet_libraries import quiet
 from ssmr_torch.renamed import refuse_old_names
 from ssmr_torch.result_files import save_json
 from ssmr_torch.run_directory import DirectoryInUse, alone_in, lock, release
+from ssmr_torch.short_refusals import OF_THE_COMMAND_LINE, built_wrongly, in_one_sentence
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 WHOLE_ERROR = "HYDRA_FULL_ERROR"  # with it Hydra hands errors on; without it, it prints them and ends the process
@@ -40,8 +40,8 @@ def entry_point(name: str, *, resumed: str | None = None, at_a_robot: bool = Fal
     """Run function(config, directory) → metric under Hydra, with conf/NAME.yaml.
 
     Bad input, a full disk and a signal end in one message; the directory is that of one command at a time.
-    resumed: the option with which the same command goes on after an interruption, "" for none; None where it starts from
-    its beginning.   at_a_robot: whether a signal leaves a robot all the time that it takes to stop.
+    resumed: the option with which the same command goes on after an interruption, "" for none; None where it starts
+    from its beginning.   at_a_robot: whether a signal leaves a robot all the time that it takes to stop.
     """
 
     def decorate(function):
@@ -53,6 +53,7 @@ def entry_point(name: str, *, resumed: str | None = None, at_a_robot: bool = Fal
             directory = Path(HydraConfig.get().runtime.output_dir)
             follow(directory, resumed)
             try:
+                check_values(name, plain_values(config))
                 with alone_in(directory):
                     for line in settings_lines(config, HydraConfig.get().runtime.choices):
                         print(line, flush=True)
@@ -60,12 +61,9 @@ def entry_point(name: str, *, resumed: str | None = None, at_a_robot: bool = Fal
             except DirectoryInUse as error:
                 raise SystemExit(f"{name}: {error}") from error
             except Exception as error:
-                cause = error.__cause__ or error if isinstance(error, InstantiationException) else error
-                missing = remedy(error) or not_given(error)
-                expected = missing or isinstance(cause, (ValueError, OSError)) or type(cause).__name__ in THEIRS
+                what, expected = said(error)
                 if not expected and HydraConfig.get().mode != RunMode.MULTIRUN:
                     raise
-                what = missing or (in_words(cause) if expected else f"{type(cause).__name__}: {cause}")
                 return refuse(f"{name}: {what}", directory, error, expected)
 
         look_here()
@@ -119,11 +117,10 @@ def ended_well(name: str, main, at_a_robot: bool = False):
             with ended_in_order(name):
                 END.limit = None if at_a_robot else END.limit
                 return main(*given)
-        except CompactHydraException as error:
+        except (*OF_THE_COMMAND_LINE, ValueError) as error:  # those of the work are told within it
             if asked == "1":
                 raise
-            cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else None
-            raise SystemExit("\n".join(map(str, filter(None, (error, cause))))) from error
+            raise SystemExit(f"{name}: {in_one_sentence(error, sys.argv[1:])}") from error
         except OSError as error:
             raise SystemExit(f"{name}: {in_words(error)}") from error
         finally:
@@ -142,8 +139,9 @@ def follow(directory: Path, resumed: str | None) -> None:
         belong_to(os.getppid())
     if resumed is None:
         return
-    searches = several and "search" in HydraConfig.get().runtime.choices
-    where = f"hydra.sweep.dir={Path(HydraConfig.get().sweep.dir).absolute()}" if several else f"hydra.run.dir={directory}"
+    searches = several and HydraConfig.get().runtime.choices.get("search")
+    place = Path(HydraConfig.get().sweep.dir).absolute() if several else directory
+    where = f"hydra.{'sweep' if several else 'run'}.dir={place}"
     END.further = f"the same command with {f'{resumed} and ' if resumed and not searches else ''}{where} goes on"
     if several or not resumed:
         END.can_go_on()
@@ -155,6 +153,19 @@ def in_words(error: Exception) -> str:
         return (f"{error.filename or 'a file'} cannot be written, as the disk is full ({error.strerror}); free some "
                 "space, and give the same command again")
     return str(error)
+
+
+def said(error: Exception) -> tuple[str, bool]:
+    """What to say of an error, and whether it is one of the input: then this is all that is said."""
+    missing = remedy(error) or not_given(error)
+    if missing:
+        return missing, True
+    if built_wrongly(error) and not isinstance(error.__cause__, OSError) or isinstance(error, OF_THE_COMMAND_LINE[1]):
+        return in_one_sentence(error), True
+    cause = error.__cause__ if built_wrongly(error) else error
+    if isinstance(cause, (ValueError, OSError)) or type(cause).__name__ in THEIRS:
+        return in_words(cause), True
+    return f"{type(cause).__name__}: {cause}", False
 
 
 def offer(group: str, options: Mapping[str, Mapping]) -> None:

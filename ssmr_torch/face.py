@@ -28,8 +28,9 @@ ADVICE = {".ckpt": "a checkpoint: ssmr export checkpoint=FILE makes an artifact 
 def read(card: str | Path) -> TrajectoryDataset:
     """Recordings of one's own, as a YAML card beside them describes them; `data=custom data.card=FILE` of a command.
 
-    The card names files (CSV, HDF5), columns, units, rest position, decays and splits; see docs/data.md. What is read
-    is in SI units, observations (T, p) are displacements from rest in m, inputs (T, m) are held from sample to sample.
+    The card names files (of any format in docs/recording_files.md), columns, units, rest position, decays and splits;
+    see docs/data.md. What is read is in SI units, observations (T, p) are displacements from rest in m, inputs (T, m)
+    are held from sample to sample.
     Raises FileNotFoundError, and ValueError for a wrong card or recordings that do not fit it; the message says which
     key or row.
 

@@ -14,10 +14,12 @@ SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 REPEATED = 1.0  # s; a second signal so soon is the same one, sent to the process and to its group
 LIMIT = 10.0    # s, for an end in order
 WATCHED_EVERY = 0.5  # s
+AGAIN = 0.02    # s, until a signal that was lost is sent again
+TOLD_ALREADY = ("Can't decrement id ref count",)  # by h5py, which has raised what was wrong with the file before
 
 
 class Interrupted(KeyboardInterrupt):
-    """What a signal raises in the main thread. Its number is that of the signal; what handles Ctrl-C handles it, too."""
+    """What a signal raises in the main thread; what handles Ctrl-C handles it, too. number: of the signal."""
 
     def __init__(self, number: int):
         super().__init__(f"ended by {signal.Signals(number).name}")
@@ -36,7 +38,7 @@ class End:
         self.number: int | None = None
         self.remedy, self.further = "the same command starts again", ""
         self.limit: float | None = LIMIT
-        self._last = 0.0
+        self._last, self._lost = 0.0, False
 
     def begin(self, command: str) -> None:
         self.__init__()
@@ -45,13 +47,22 @@ class End:
     def come(self, number: int, frame=None) -> None:
         """Raise `Interrupted`, once for each signal."""
         first, since, self._last = self.number is None, time.monotonic() - self._last, time.monotonic()
+        again, self._lost = self._lost, False
         if first:
             self.number = number
             if self.limit is not None:
                 # daemon: it also ends a process that waits for threads which do not end
                 threading.Thread(target=self._force, args=(self.limit,), daemon=True).start()
-        if first or since > REPEATED:
+        if first or again or since > REPEATED:
             raise Interrupted(number)
+
+    def ignored(self, what) -> None:
+        """For `sys.unraisablehook`: an `Interrupted` that came in a callback of compiled code is raised again."""
+        if isinstance(what.exc_value, Interrupted):
+            self._lost = True
+            threading.Timer(AGAIN, signal.pthread_kill, (threading.main_thread().ident, what.exc_value.number)).start()
+        elif not any(words in str(what.exc_value) for words in TOLD_ALREADY):
+            sys.__unraisablehook__(what)
 
     def can_go_on(self) -> None:
         """Something is kept from now on, with which `further` goes on."""
@@ -67,6 +78,8 @@ class End:
 
     def _force(self, limit: float) -> None:
         time.sleep(limit)
+        if self.command is not None:
+            print(self.sentence(), file=sys.stderr, flush=True)
         os._exit(self.status)
 
 
@@ -90,12 +103,14 @@ def ended_in_order(command: str) -> Iterator[None]:
     for number, handler in before.items():
         if handler in (signal.SIG_DFL, signal.default_int_handler):
             signal.signal(number, END.come)
+    hook, sys.unraisablehook = sys.unraisablehook, END.ignored
     try:
         yield
     except BaseException:
         if END.number is None:
             raise
     finally:
+        sys.unraisablehook = hook
         END.command, name = None, END.command
         for number, handler in before.items():
             if handler is not None:

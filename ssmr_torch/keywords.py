@@ -15,6 +15,7 @@ def configurable(source=None, *, given: tuple[str, ...] = ()) -> Callable:
     given: parameters that the program sets and no configuration does (`ssmr_torch.configuration` reads both).
     """
     def decorate(function):
+        function.source = source  # `ranges_of` reads it
         if source is not None:
             own = signature(function)
             kept = [p for p in own.parameters.values() if p.kind is not Parameter.VAR_KEYWORD]

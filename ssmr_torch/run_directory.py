@@ -25,8 +25,8 @@ class DirectoryInUse(ValueError):
     """Another command works in this directory."""
 
     def __init__(self, directory: str | Path):
-        super().__init__(f"{directory} is the directory of another command, which still runs; wait for its end, or give "
-                         "another directory (hydra.run.dir, or hydra.sweep.dir with -m)")
+        super().__init__(f"{directory} is the directory of another command, which still runs; wait for its end, or "
+                         "give another directory (hydra.run.dir, or hydra.sweep.dir with -m)")
 
 
 def lock(directory: str | Path, *, shared: bool = False) -> bool:

@@ -19,14 +19,15 @@ FILE_MODULES = {"shutil", "tempfile", "zipfile", "tarfile", "gzip", "bz2", "lzma
                 "safetensors"}
 FILE_CALLS = {"open", "io.open", "json.load", "json.dump", "yaml.safe_load", "torch.load", "torch.save",
               "scipy.io.loadmat", "scipy.io.savemat", "meshio.read", "meshio.write",
-              "ssmr_torch.result_files.written_aside",
+              "ssmr_torch.result_files.written_aside", "ssmr_torch.result_files.save_bytes",
               *(f"os.{name}" for name in ("open", "remove", "unlink", "rename", "replace", "makedirs", "rmdir")),
               *(f"numpy.{name}" for name in ("load", "save", "savez", "savez_compressed", "loadtxt", "savetxt",
                                              "genfromtxt", "fromfile", "memmap"))}
 WRITES = {".write_text", ".write_bytes", ".tofile", ".savefig", "json.dump", "torch.save", "scipy.io.savemat",
           "meshio.write", "safetensors.numpy.save_file", "numpy.save", "numpy.savez", "numpy.savez_compressed",
           "numpy.savetxt"}
-RENAMES = {"os.replace", "os.rename", ".rename", ".replace", "ssmr_torch.result_files.written_aside"}
+RENAMES = {"os.replace", "os.rename", ".rename", ".replace", "ssmr_torch.result_files.written_aside",
+           "ssmr_torch.result_files.save_bytes"}
 
 
 class Source(NamedTuple):

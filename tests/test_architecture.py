@@ -32,8 +32,7 @@ HOMES = {
               "paper/delay_study.py", "benchmarks/*"],
     "lightning": ["data/datamodule.py", "fitting/*", "benchmarks/fit.py"],
     "sklearn": ["fitting/streamed_least_squares.py"],
-    "numba": ["control/*", "models/batch_kernel.py", "plants/finite_element/compiled.py", "plants/pressure_arm.py",
-              "plants/slow_manifold.py"],
+    "numba": ["compiled_functions.py"],
     "mujoco": ["plants/tendon_chain.py"], "elastica": ["plants/cosserat_rod.py"],
     "soromox": ["plants/isupport.py", "plants/planar_hsa.py"],
     "jax": ["plants/isupport.py", "plants/planar_hsa.py", "plants/soromox_robot.py"],
@@ -43,14 +42,17 @@ HOMES = {
     "onnx": ["deployment/onnx_program.py"], "onnxruntime": ["deployment/onnx_program.py"],
     "casadi": ["deployment/casadi_program.py", "benchmarks/other_solvers.py"],
     "acados_template": ["benchmarks/other_solvers.py"], "ruptures": ["benchmarks/libraries.py"],
-    "hydra": ["configuration.py", "entry_point.py", "search/*"],
-    "omegaconf": ["configuration.py", "entry_point.py", "found_settings.py", "option_tables.py", "search/best_row.py"],
+    "hydra": ["configuration.py", "entry_point.py", "short_refusals.py", "search/*"],
+    "omegaconf": ["configuration.py", "entry_point.py", "found_settings.py", "option_tables.py", "short_refusals.py",
+                  "search/best_row.py"],
     "optuna": ["search/space.py", "search/trials.py"],
     "h5py": ["hdf5_file.py", "trajectory_file.py", "closed_loop/record.py", "commissioning/directory.py",
              "recording_files/*", "collection/resumption.py", "paper/report_sections.py", "paper/workspace_errors.py",
-             "data/matlab_reader.py"],
-    "yaml": ["data/card_file.py", "data/card_text.py", "documents/stray_numbers.py"],
-    "pandas": ["recording_files/*", "recording_clocks/dates.py"], "c3d": ["recording_files/c3d_reader.py"],
+             "data/matlab_reader.py", "faults/container_trials.py"],
+    "yaml": ["data/card_file.py", "data/card_text.py", "documents/stray_numbers.py", "faults/made_recordings.py",
+             "faults/card_trials.py"],
+    "pandas": ["recording_files/*", "recording_clocks/dates.py", "faults/container_trials.py"],
+    "c3d": ["recording_files/c3d_reader.py"],
     "rosbags": ["recording_files/rosbag_reader.py"],
     "pydantic": ["data/card_file.py", "data/recording_card.py", "data/units.py", "commissioning/robot_card.py"],
     "pydantic_core": ["data/card_file.py"],
@@ -72,19 +74,21 @@ NEVER = {
     "deployment": ["plants", "data", "fitting", "evaluation"],
     "data": ["models", "plants", "collection", "control", "fitting", "evaluation", "closed_loop"],
 }
-# The two that put everything together: the command starts the experiments, the runner serves an artifact's controller.
-EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "control"]}
+# The command starts the experiments, the runner serves an artifact's controller, faults use what benchmarks steer with.
+EXCEPT = {"command.py": ["experiments"], "wire/runner.py": ["deployment", "control"],
+          "faults/garbage_control.py": ["benchmarks"], "faults/hostile_frames.py": ["benchmarks"]}
 # Who touches files; all else takes and returns arrays.
 TOUCHES_FILES = [
-    "checksum.py", "hdf5_file.py", "trajectory_file.py", "benchmarks/*", "deployment/artifact.py",
-    "deployment/checkpoint_copy.py", "deployment/tables.py", "deployment/whole_directory.py", "closed_loop/record.py",
-    "provenance.py", "result_files.py", "paper/models.py", "collection/*", "wire/runner.py", "wire/seal.py",
-    "command.py", "commissioning/directory.py",
+    "checksum.py", "own_folder.py", "quiet_libraries.py", "hdf5_file.py", "trajectory_file.py", "found_settings.py",
+    "run_directory.py", "provenance.py", "result_files.py", "benchmarks/*", "deployment/artifact.py",
+    "deployment/checkpoint_copy.py", "deployment/tables.py", "deployment/whole_directory.py",
+    "closed_loop/record.py", "paper/models.py", "collection/*", "wire/runner.py", "wire/seal.py", "command.py",
+    "commissioning/directory.py", "faults/*",
     "controller_design/report.py", "defaults_of_signatures.py", "data/*", "documents/*", "search/*",
     "recording_files/*",
-    "deployment/exported_programs.py", "fitting/fit.py", "fitting/checkpoints.py", "evaluation/*figures.py",
-    "report/html_page.py", "report/run_sections.py",
-    "paper/job_run.py", "paper/report_sections.py", "paper/reproduction.py", "paper/result_tables.py",
+    "deployment/exported_programs.py", "fitting/fit.py", "fitting/checkpoints.py", "fitting/resumption.py",
+    "evaluation/*figures.py", "report/html_page.py",
+    "paper/job_run.py", "paper/report_sections.py", "paper/reproduction.py",
     "paper/workspace_errors.py",
     "plants/finite_element/mesh_files.py", "tasks/symbols.py", "closed_loop/rerun_view.py"]
 # paper/ can be deleted; the rules of its rooms go with it.

@@ -88,7 +88,7 @@ def test_an_unknown_command_is_refused_with_the_list_and_the_nearest_one(capsys,
 
 
 @pytest.mark.parametrize(("arguments", "key"), [
-    (["report"], "directory"), (["evaluate"], "artifact"), (["evaluate", "artifact=[]"], "data.path")])
+    (["report"], "directory"), (["evaluate"], "artifact"), (["check"], "data.path")])
 def test_a_key_that_must_be_given_is_named_in_one_sentence(arguments, key, tmp_path):
     done = ssmr(*arguments, f"hydra.run.dir={tmp_path}")
     assert done.returncode == 1

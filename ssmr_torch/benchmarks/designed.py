@@ -72,7 +72,7 @@ class Results:
 
     def __init__(self, path: Path):
         self.path = path
-        self.rows: dict[str, dict] = json.loads(path.read_text()) if path.is_file() else {}
+        self.rows: dict[str, dict] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
 
     def add(self, key: str, row: dict) -> None:
         self.rows[key] = row

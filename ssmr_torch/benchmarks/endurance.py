@@ -28,7 +28,7 @@ STATISTICS = Path("/proc/self/statm")
 def memory() -> float:
     """Resident memory of this process, MB; its highest so far where the system does not tell the present one."""
     if STATISTICS.is_file():
-        return int(STATISTICS.read_text().split()[1]) * resource.getpagesize() / 1e6
+        return int(STATISTICS.read_text(encoding="utf-8").split()[1]) * resource.getpagesize() / 1e6
     highest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return highest / 1e6 if sys.platform == "darwin" else highest / 1e3
 

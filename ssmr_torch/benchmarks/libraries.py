@@ -62,7 +62,7 @@ def reading(cells: int = 400_000) -> dict:
     table = np.random.default_rng(0).normal(size=(cells // 8, 8))
 
     def by_rows(path: Path) -> np.ndarray:
-        with path.open() as file:
+        with path.open(encoding="utf-8") as file:
             return np.array(list(csv.reader(file))[1:], dtype=np.float64)
 
     with tempfile.TemporaryDirectory() as folder:

@@ -48,7 +48,7 @@ def load() -> float | None:
 def processor() -> str:
     """The processor's name, or its architecture where the system does not tell."""
     information = Path("/proc/cpuinfo")
-    lines = information.read_text().splitlines() if information.is_file() else []
+    lines = information.read_text(encoding="utf-8", errors="replace").splitlines() if information.is_file() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor() or platform.machine()
 

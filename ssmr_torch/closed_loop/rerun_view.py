@@ -14,7 +14,10 @@ from time import perf_counter
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.keywords import configurable
+from ssmr_torch.quantities import PATH, TEXT
+from ssmr_torch.ranges import Number, OrNone
 from ssmr_torch.tasks.obstacles import Circle, HalfPlane
 
 LOGGER = logging.getLogger(__name__)
@@ -41,6 +44,8 @@ class RerunView:
     """
 
     @configurable(given=("directory",))
+    @checked(recording=OrNone(PATH), address=OrNone(TEXT), trail=Number(0.0, 1e4, "s"),
+             patience=Number(0.0, 1e3, "s"))
     def __init__(self, task, plant, directory: str | Path = ".", *, recording: str | Path | None = None,
                  address: str | None = None, trail: float = 2.0, patience: float = 0.1):
         try:

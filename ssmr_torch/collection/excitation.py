@@ -21,6 +21,10 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.random import Generator
 
+from ssmr_torch.checked_arguments import checked
+from ssmr_torch.quantities import HELD, OF_RANGE, SEED, STAY
+from ssmr_torch.ranges import Number, Whole
+
 
 class Excitation(Protocol):
     def __call__(self, rng: Generator, samples: int, timestep: float, bounds: np.ndarray) -> np.ndarray:
@@ -55,6 +59,7 @@ def neutral_input(plant) -> np.ndarray:
     return own
 
 
+@checked(ramp=STAY, hold=STAY, share=OF_RANGE)
 @dataclass(frozen=True)
 class Ramp:
     """Ramp from the resting input to `levels` within `ramp` s, hold until `hold` s, then release at once.
@@ -81,6 +86,7 @@ class Ramp:
         return _scale(rest + profile * (levels - rest), self.share, bounds)
 
 
+@checked(share=OF_RANGE, probability=Number(1e-3, 1.0), ramp=STAY, hold=STAY)
 @dataclass(frozen=True)
 class RandomOnOffRamp:
     """A `Ramp` with each input on with `probability`, at a level U(0, share), at least one of them on."""
@@ -104,12 +110,14 @@ class RandomOnOffRamp:
         return Ramp(levels, self.ramp, self.hold, self.share)(rng, samples, timestep, bounds)
 
 
+@checked(count=Whole(0, 10_000), inputs=Whole(1, 1000), seed=SEED, share=OF_RANGE, ramp=STAY, hold=STAY)
 def latin_hypercube_ramps(count: int, inputs: int, seed: int, share: float = 1.0,
                           ramp: float = 0.6, hold: float = 1.0) -> list[Ramp]:
     """`count` ramps whose levels are a Latin hypercube on [0, share]^inputs: every input is spread evenly."""
     return [Ramp(levels, ramp, hold, share) for levels in _latin_hypercube(count, inputs, seed, share)]
 
 
+@checked(knot_interval=HELD, share=OF_RANGE, lowest=Number(-10.0, 0.99))
 @dataclass(frozen=True)
 class SmoothRandom:
     """Cubic spline through levels U(lowest, 1)·share, a knot every `knot_interval` s, clipped to the share.
@@ -140,6 +148,7 @@ class SmoothRandom:
         return _scale(np.clip(spline(time), 0, self.share), self.share, bounds)
 
 
+@checked(hold=HELD, share=OF_RANGE)
 @dataclass(frozen=True)
 class RandomSteps:
     """Levels U(0, share) drawn anew every `hold` s, with jumps in between."""
@@ -157,6 +166,7 @@ class RandomSteps:
         return _scale(levels[index], self.share, bounds)
 
 
+@checked(hold=HELD, share=OF_RANGE)
 @dataclass(frozen=True)
 class SetPoints:
     """The rows of `levels` (K, m), one after the other for `hold` s each; the last is held to the end."""
@@ -184,12 +194,14 @@ class SetPoints:
         return _scale(levels[reached], self.share, bounds)
 
 
+@checked(count=Whole(1, 10_000), inputs=Whole(1, 1000), seed=SEED, share=OF_RANGE, hold=HELD)
 def latin_hypercube_set_points(count: int, inputs: int, seed: int, share: float = 1.0,
                                hold: float = 2.0) -> SetPoints:
     """`count` set points, a Latin hypercube on [0, share]^inputs: every input is spread evenly."""
     return SetPoints(tuple(_latin_hypercube(count, inputs, seed, share)), hold, share)
 
 
+@checked(slowest=Number(1e-4, 1e4, "Hz"), fastest=Number(1e-4, 1e4, "Hz"), share=OF_RANGE)
 @dataclass(frozen=True)
 class Chirp:
     """Sines about the middle of the share that sweep logarithmically from `slowest` to `fastest` Hz, at random
@@ -218,6 +230,7 @@ class Chirp:
         return _scale(np.clip(0.5 * self.share * (1 + sweep), 0, self.share), self.share, bounds)
 
 
+@checked(share=OF_RANGE, hold=HELD)
 @dataclass(frozen=True)
 class Dithered:
     """Another excitation with white steps on top: N(0, share of the range) anew every `hold` s, within the bounds.
@@ -248,6 +261,7 @@ class Dithered:
         return np.clip(signal + steps[index], bounds[0], bounds[1])
 
 
+@checked(share=OF_RANGE, hold=HELD)
 def mpc_like(excitation: Excitation, share: float = 0.05, hold: float = 0.02) -> Dithered:
     """Inputs as a predictive controller makes them: a smooth signal, each `hold` s corrected by 5 % of the range."""
     return Dithered(excitation, share, hold)

@@ -11,12 +11,17 @@ from dataclasses import asdict, dataclass, is_dataclass
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.collection import excitation as signals
 from ssmr_torch.collection.excitation import Excitation, Release, neutral_input
 from ssmr_torch.plants.base import Plant
+from ssmr_torch.quantities import DURATION, TEXT
+from ssmr_torch.ranges import OneOf, OrNone, Whole
 from ssmr_torch.trajectory import KINDS, SPLITS
 
 
+@checked(name=TEXT, duration=OrNone(DURATION), split=OneOf(*SPLITS), repeats=Whole(1, 10_000),
+         kind=OneOf("controlled", "static"))
 @dataclass(frozen=True)
 class ControlledRun:
     """`repeats` runs of `duration` s from rest under one excitation, each with its own random numbers.

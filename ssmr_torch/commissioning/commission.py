@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.collection.resumption import COMPLETE
 from ssmr_torch.commissioning.channels import admissible_share, channel_faults, channels_said, expectations
 from ssmr_torch.commissioning.circles import circle_about, reach, tracked_outputs
@@ -21,6 +22,8 @@ from ssmr_torch.commissioning.robot_card import RobotCard, fitted, read_robot_ca
 from ssmr_torch.commissioning.safety_guard import GuardedPlant, SafetyStop
 from ssmr_torch.commissioning.steps import measure_steps
 from ssmr_torch.plants.base import Plant
+from ssmr_torch.quantities import POSITIVE_SHARE, SEED, TEXT, TRUTH
+from ssmr_torch.ranges import Number, Whole
 from ssmr_torch.settings import Settings, positive, whole
 from ssmr_torch.tasks.references import Task
 
@@ -29,6 +32,8 @@ ARTIFACT = "artifact"
 FEWEST = 20  # times the noise: the smallest radius of a circle
 
 
+@checked(model=TEXT, rest_duration=Number(0.1, 1e4, "s"), slow_lap=Number(0.1, 1e4, "s"),
+         fast_lap=Number(0.1, 1e4, "s"), laps=Whole(1, 1000), share_of_reach=POSITIVE_SHARE, seed=SEED, figures=TRUTH)
 @dataclass(frozen=True)
 class CommissioningSettings(Settings):
     """Settings of `commission`.

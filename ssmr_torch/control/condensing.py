@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from ssmr_torch import compiled_functions
 
 # Sums may be reordered, but NaN and infinity must keep their meaning: they show that a rollout diverged.
-compiled = njit(cache=True, fastmath={"reassoc", "contract"})
+compiled = compiled_functions.compiled(fastmath={"reassoc", "contract"})
 
 
 # Loops and no slices: numba needs four more seconds to compile `a[:] = b`.

@@ -6,9 +6,12 @@ from collections import Counter
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.control.chart_estimator import ChartEstimator
 from ssmr_torch.control.outlier_gate import InnovationGate
 from ssmr_torch.periods import whole_steps
+from ssmr_torch.quantities import NOISE, TRUTH
+from ssmr_torch.ranges import OneOf, OrNone
 
 # If the norm of a state exceeds that of the training range by this factor, the filter restarts.
 RANGE_FACTOR = 3.0
@@ -36,6 +39,8 @@ class KalmanObserver:
     Raises ValueError for another disturbance or noise that is not positive, ImportError without SciPy.
     """
 
+    @checked(disturbance=OneOf(*DISTURBANCES), extended=TRUTH, process_noise=NOISE, disturbance_noise=OrNone(NOISE),
+             measurement_noise=NOISE)
     def __init__(self, model, input_range, *, disturbance: str = "output", extended: bool = False,
                  process_noise: float = 1e-3, disturbance_noise: float | None = None,
                  measurement_noise: float = 5e-5):

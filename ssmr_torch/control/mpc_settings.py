@@ -7,10 +7,23 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.control.actuator import Actuator
+from ssmr_torch.quantities import FREE_PER_INPUT, FREE_WEIGHT, OUTPUT_WEIGHT, PER_INPUT, TEXT, TIMESTEP, TRUTH, VECTOR
+from ssmr_torch.ranges import Each, Number, OrNone, Whole
 from ssmr_torch.settings import Settings, non_negative, positive, positive_or_none, refuse_unknown, whole
 
 
+@checked(horizon=Whole(1, 500), period=TIMESTEP, output_weight=OUTPUT_WEIGHT, input_weight=PER_INPUT,
+         move_weight=FREE_PER_INPUT, huber=OrNone(Number(1e-9, 1e3, "m")), input_target=VECTOR, posture=VECTOR,
+         posture_weight=OrNone(Each(FREE_WEIGHT)), terminal_weight=Number(0.0, 1e40, "1/m²"),
+         input_rate=OrNone(PER_INPUT), safe_input=VECTOR,
+         output_bounds=OrNone(Each(Each(Number(-1e12, 1e12, infinite=True)), 2, 2)),
+         margins=OrNone(Each(Number(0.0, 1e3, "m"))), margin_quantile=Number(1e-6, 1 - 1e-6), hard_constraints=TRUTH,
+         violation_weight=OrNone(Each(FREE_WEIGHT, 2, 2)), iterations=Whole(1, 1000), first_iterations=Whole(1, 1000),
+         tolerance=Number(0.0, 1.0, above=True), range_factor=Number(0.1, 1e6), approach=Number(0.0, 1e4, "s"),
+         measurement_delay=Number(0.0, 10.0, "s"), frozen_after=Whole(0, 1_000_000),
+         step_budget=OrNone(Number(1e-3, 1e3)), qp=TEXT)
 @dataclass(frozen=True)
 class PredictiveControlSettings(Settings):
     """Settings of a `ModelPredictiveController`; `changed(name=value)` gives others.

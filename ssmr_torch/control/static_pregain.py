@@ -9,6 +9,7 @@ from math import isfinite
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.control.base import Command
 from ssmr_torch.control.chart_estimator import ChartEstimator
 from ssmr_torch.control.input_bounds import admissible_input, changed_bounds
@@ -17,6 +18,8 @@ from ssmr_torch.control.sampling import Sampling
 from ssmr_torch.keywords import configurable
 from ssmr_torch.models.polynomial import PregainModel
 from ssmr_torch.periods import whole_steps
+from ssmr_torch.quantities import OUTPUT_WEIGHT, PER_INPUT, TIMESTEP, VECTOR
+from ssmr_torch.ranges import OrNone, Whole
 from ssmr_torch.settings import positive_or_none
 from ssmr_torch.status import Status
 
@@ -45,6 +48,8 @@ class StaticPregainController:
     """
 
     @configurable(given=("timestep", "output_names"))
+    @checked(period=TIMESTEP, output_weight=OUTPUT_WEIGHT, input_weight=PER_INPUT, horizon=OrNone(Whole(1, 500)),
+             safe_input=VECTOR)
     def __init__(self, model, task, input_bounds, *, timestep: float | None = None, output_names=None,
                  period: float = Predictive.period, output_weight: float = Predictive.output_weight,
                  input_weight: float | Sequence[float] = Predictive.input_weight, horizon: int | None = None,

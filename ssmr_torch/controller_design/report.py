@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from ssmr_torch.controller_design.noises import Likelihood, Noises
 from ssmr_torch.controller_design.recordings import Recordings
 from ssmr_torch.controller_design.weights import PEAK, WeightSearch
 from ssmr_torch.data_sheet import DataSheet
+from ssmr_torch.result_files import save_text
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,9 +111,7 @@ class DesignReport(DataSheet):
         text = "\n\n".join([f"# Design for {self.task}", "```\n" + repr(self) + "\n```", *self.sentences,
                             *(f"![{path.stem}]({path.name})" for path in pictures)])
         for name, content in (("design.json", json.dumps(self.facts, indent=2, allow_nan=False)), ("design.md", text)):
-            aside = folder / f"{name}.part"
-            aside.write_text(content + "\n")
-            os.replace(aside, folder / name)
+            save_text(folder / name, content + "\n")
         return folder
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
@@ -16,46 +15,46 @@ from ssmr_torch.data.sampling import SamplingRule
 from ssmr_torch.data.units import Plausible, Units
 from ssmr_torch.recording_clocks.clock_rules import ClockRules
 from ssmr_torch.recording_clocks.seconds import clock_of
+from ssmr_torch.recording_faults.copies import without_copies
+from ssmr_torch.recording_faults.mending import compared, mended
+from ssmr_torch.recording_faults.moving_decays import moving_decays
 from ssmr_torch.recording_faults.recording import Recording
+from ssmr_torch.recording_faults.rules import FaultRules
 from ssmr_torch.recording_files.table import Table
 from ssmr_torch.trajectory import TrajectoryDataset
-
-logger = logging.getLogger(__name__)
 
 # Runs (t, y, u), or a mapping that names them.
 Runs = Sequence[Sequence] | Mapping[str, Sequence]
 
-ENDS = 10           # last samples of a decay whose median is where it ends
-FAR, ASTRAY = 0.1, 1.0  # of a decay's own extent: ends farther from zero are said, or refused
 
 
 def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs = (), test: Runs = (),
                  output_names: Sequence[str] | None = None, input_names: Sequence[str] | None = None,
                  units: Mapping[str, str] | None = None, rest: npt.ArrayLike | None = None,
-                 timestep: float | None = None, missing: str = "refuse", minimum_length: int = 10,
-                 range: Sequence[float] = Plausible.displacement, interval_range: Sequence[float] = Plausible.interval,
-                 largest_input: float | None = None, stamps: str = "as_given", same_stamp: str = "refuse",
+                 timestep: float | None = None, missing: str = "bridge", faults: Mapping[str, str] | None = None,
+                 minimum_length: int = 10, range: Sequence[float] = Plausible.displacement,
+                 interval_range: Sequence[float] = Plausible.interval, largest_input: float | None = None,
+                 stamps: str = "as_given", same_stamp: str = "refuse",
                  input_lag: str | float = "keep") -> TrajectoryDataset:
     """The dataset of runs that are arrays, or frames of pandas or polars.
 
-    Each run is (t, y, u): times (T,), numbers or dates (datetime64, timestamps, text), or one number, the sampling
-    time; the displacement of the observed points from
-    their rest position, (T, p) or (T,); inputs (T, m) or (T,), u[k] held from sample k to sample k + 1, so that y[k]
-    does not feel it yet. A decay may be (t, y): its inputs are zero. Frames bring the names of their columns.
+    Each run is (t, y, u): times (T,), numbers or dates, or one number, the sampling time; the displacement of the
+    observed points from rest, (T, p) or (T,); inputs (T, m) or (T,), u[k] held from sample k to k + 1, so that y[k] does
+    not feel it yet. A decay may be (t, y): its inputs are zero. Frames bring the names of their columns.
 
     decays: runs back to rest without input. controlled: runs under inputs. Both are trained on. validation, test: runs
     that are not; those whose inputs never move count as decays. A mapping instead of a list names its runs.
     output_names, input_names: one per column (y1, … and u1, … by default); of a frame they choose the columns.
     units: of what is given, such as {"length": "mm", "input": "N", "time": "s"}; m, N and s by default, and input "1"
     for normalized commands. rest: (p,), absolute position of the origin of y, in the unit of length; zero by default.
-    timestep: s, of the grid that irregular samples are put on; None for their median interval. missing: "refuse" rows
-    that are not finite, or "split" the run there. minimum_length: samples; shorter runs are left out. range,
-    interval_range: smallest and largest peak displacement, m, and sampling time, s, that are plausible; largest_input:
-    the same of |u|, in N or 1. stamps: "even" spreads samples evenly over uneven times. same_stamp: "refuse" samples of
-    one time that differ, or keep the "first" or "last". input_lag: "keep", "remove", or s by which inputs stand late.
+    timestep: s, of the grid of irregular samples; None: their median interval. missing: of rows that are not finite,
+    "bridge" (up to five, else cut), "split" (up to two) or "refuse". faults: rules as {"outliers": "cut"}, see
+    `recording_faults.rules.FaultRules`. minimum_length: samples; shorter runs are left out. range, interval_range:
+    smallest and largest plausible peak displacement, m, and sampling time, s; largest_input: of |u|, in N or 1. stamps:
+    "even" spreads samples evenly. same_stamp: of samples of one time, "refuse" them, or keep the "first" or "last".
+    input_lag: "keep", "remove", or s by which inputs stand late.
 
-    Raises ValueError for lengths, names and units that do not fit, a decay whose inputs move or that does not end near
-    zero, and recordings that no robot makes; the message names the run and the remedy.
+    Raises ValueError, with the run and the remedy, for lengths, names and units that do not fit, and for faults.
 
     >>> t = np.linspace(0.0, 2.0, 201)
     >>> swing = 8.0 * np.exp(-2.0 * t) * np.cos(9.0 * t)
@@ -79,12 +78,13 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     input_names = _common("input", runs, [run.input for run in runs], input_names)
     clock = ClockRules("t", measured.time, None, None, None, stamps, same_stamp, interval_range, tuple(output_names))
     recordings = [run.recording(output_names, input_names, measured, clock) for run in runs]
-    _check_decays([each for each, run in zip(recordings, runs) if run.part == "decays"], input_names, measured)
+    rules, provenance = FaultRules.of(faults or {}), _provenance(recordings, measured)
+    recordings = _without_faults(recordings, input_names, rules, missing, measured)
     origin = np.zeros(len(output_names)) if rest is None else measured.scale("length") * _vector(rest, output_names)
-    rule = SamplingRule("resample", timestep, missing=missing, minimum_length=minimum_length)
     plausible = Plausible((range[0], range[1]), (interval_range[0], interval_range[1]), largest_input)
-    return with_lag(assemble(recordings, origin, output_names, input_names, measured, rule,
-                             _provenance(recordings, measured), plausible), input_lag)
+    dataset = assemble(recordings, origin, output_names, input_names, measured,
+                       SamplingRule("resample", timestep, minimum_length=minimum_length), provenance, plausible)
+    return with_lag(without_copies(dataset, rules.copies), input_lag)
 
 
 def _provenance(recordings: Sequence[Recording], units: Units) -> dict:
@@ -92,6 +92,11 @@ def _provenance(recordings: Sequence[Recording], units: Units) -> dict:
         f"Lengths in {units.length}, inputs in {units.input}, time in {units.time}.",
         "Observations are displacements from rest.",
         "Each input is held until the next sample and acts after the observation of its row."]}
+
+
+def _without_faults(recordings, input_names, rules: FaultRules, missing: str, units: Units) -> list[Recording]:
+    found = mended(moving_decays(recordings, input_names, rules.moving_decays), rules, missing)
+    return compared(found, np.zeros(found[0].observation.shape[1]), rules, units.scale("length"), units.length)
 
 
 def _runs(given: Mapping) -> list[_Columns]:
@@ -134,7 +139,7 @@ class _Columns:
         kind = "decay" if self.part == "decays" or (self.part in ("test", "validation") and still) else "controlled"
         split = self.part if self.part in ("test", "validation") else "train"
         return Recording(self.name, clock.time, y, u, kind, split, centred=True, rows=np.sort(clock.rows),
-                         notes=clock.notes)
+                         notes=clock.notes, output_names=tuple(output_names))
 
     def _as_table(self, rules: ClockRules, y: np.ndarray, u: np.ndarray) -> Table:
         """Times, outputs and inputs as a table, whose clock is read as those of files."""
@@ -207,29 +212,6 @@ def _known_units(units: Mapping[str, str] | None) -> dict[str, str]:
         raise ValueError(f"units is {units!r}; expected a mapping, such as "
                          "{'length': 'mm', 'input': 'N', 'time': 's'}")
     return dict(units or {})
-
-
-def _check_decays(decays: Sequence[Recording], input_names: Sequence[str], units: Units) -> None:
-    """Refuse decays whose inputs move, and positions that are not measured from rest."""
-    for decay in decays:
-        moved = np.ptp(decay.input, axis=0) if len(decay.input) else np.zeros(0)
-        if moved.max(initial=0.0) > 0:
-            raise ValueError(f"{decay.name} is a decay, but its input {input_names[int(moved.argmax())]} changes by "
-                             f"{moved.max():.3g}; list it under controlled, or cut it to where the robot is let go")
-    if not decays:
-        return
-    rows = [decay.observation[np.isfinite(decay.observation).all(axis=1)] for decay in decays]
-    rows = [each for each in rows if len(each) > 1] or [np.zeros((2, 1))]
-    end = np.median([np.median(each[-ENDS:], axis=0) for each in rows], axis=0)
-    extent = max(np.linalg.norm(np.ptp(each, axis=0)) for each in rows)
-    away = float(np.linalg.norm(end))
-    if away > FAR * extent:
-        found = (f"decays end {1e3 * away:.3g} mm from zero, in the median at {np.round(1e3 * end, 2).tolist()} mm, "
-                 f"and move by {1e3 * extent:.3g} mm; y is the displacement from rest")
-        if away > ASTRAY * extent:
-            raise ValueError(f"{found}: subtract the rest position, {(end / units.scale('length')).round(5).tolist()} "
-                             f"{units.length} where the decays end at rest")
-        logger.warning("%s: record them longer, or subtract where the robot rests", found)
 
 
 def _vector(rest, output_names: Sequence[str]) -> np.ndarray:

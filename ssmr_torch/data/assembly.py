@@ -14,6 +14,7 @@ from ssmr_torch.data.units import Plausible, Units
 from ssmr_torch.recording_clocks.gaps import find_time_gaps
 from ssmr_torch.recording_clocks.time_units import refuse_implausible
 from ssmr_torch.recording_faults.recording import Recording
+from ssmr_torch.recording_files.note import Note
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 logger = logging.getLogger(__name__)
@@ -45,16 +46,18 @@ def assemble(recordings: list[Recording], rest: np.ndarray, output_names, input_
         trajectories, dropped, resampled = trajectories + kept, dropped + short, resampled + moved
     if not trajectories:
         raise ValueError(f"no run is left: all {len(dropped)} are shorter than {rule.minimum_length} samples")
+    notes = [note for recording in recordings for note in recording.notes]
+    tiny = plausible.too_small(peaks["input"], units)
+    notes += [Note("all runs", "wrong_units", tiny)] if tiny else []
     provenance = provenance | {
         "rest_m": [float(x) for x in rest], "peaks": peaks,
         "sampling": _intervals(usable) | {"rule": rule.sampling, "timestep_s": float(timestep),
                                           "resampled_runs": resampled},
-        "notes": [note.as_dict() for recording in recordings for note in recording.notes],
+        "notes": [note.as_dict() for note in notes],
         "seams": {name: found for name, found in seams.items() if found},
         "shorter_than_minimum": dropped, "minimum_length": rule.minimum_length}
-    for recording in recordings:
-        for note in recording.notes:
-            logger.warning("%s", note)
+    for note in notes:
+        logger.warning("%s", note)
     _log(provenance, units)
     return TrajectoryDataset(trajectories, rest, output_names, input_names, units.input_inside, provenance)
 
@@ -153,7 +156,8 @@ def _seams(recording: Recording, good: np.ndarray) -> list[int]:
     else:
         seams = [int(k) for k in recording.seams]
     seams += [int(rows[k]) for k in find_time_gaps(recording.time[good])]
-    return sorted(set(seams) - set(recording.cuts))
+    taken_out = {row for row in recording.cuts if row - 1 not in recording.rows}
+    return sorted(set(seams) - taken_out)
 
 
 def _runs(recording: Recording, good: np.ndarray, seams: list[int]) -> list[np.ndarray]:

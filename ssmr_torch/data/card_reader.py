@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.assembly import assemble, refuse_wrong_clock
 from ssmr_torch.data.file_units import refuse_other_units
 from ssmr_torch.data.input_lag import with_lag
@@ -18,6 +19,7 @@ from ssmr_torch.data.recording_card import RecordingCard, read_recording_card
 from ssmr_torch.data.run_names import in_pieces, kind_and_split, with_full_names
 from ssmr_torch.data.sampling import SamplingRule
 from ssmr_torch.data.units import Plausible
+from ssmr_torch.quantities import PATH
 from ssmr_torch.recording_clocks.seconds import clock_of
 from ssmr_torch.recording_faults.copies import without_copies
 from ssmr_torch.recording_faults.mending import compared, mended
@@ -28,6 +30,7 @@ from ssmr_torch.recording_files.table import Table
 from ssmr_torch.trajectory import TrajectoryDataset
 
 
+@checked(card=PATH)
 def custom(card: str | Path) -> TrajectoryDataset:
     """Runs in files of any format of `recording_files.reading` that a YAML card describes (`RecordingCard`); files
     are relative to the card.

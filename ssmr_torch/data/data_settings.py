@@ -4,9 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ssmr_torch.checked_arguments import checked
+from ssmr_torch.quantities import COUNT, DURATION, LENGTH, SEED, TRUTH
+from ssmr_torch.ranges import Number, OrNone, Whole
 from ssmr_torch.settings import Settings, at_least, non_negative, positive, whole
 
 
+@checked(validation_share=Number(0.0, 0.99), decays=OrNone(COUNT),
+         controlled_duration=OrNone(Number(0.0, 1e7, "s", infinite=True)), noise_std=LENGTH, score_test=TRUTH,
+         overdrive=Number(1.0, 100.0), overspeed=Whole(1, 1000), transient=Number(0.0, 1e5, "s"),
+         rows=Whole(1, 10_000_000), rollout_horizon=DURATION, validation_horizon=DURATION, starts=Whole(1, 1_000_000),
+         batch_size=Whole(1, 1_000_000), stride=Whole(1, 1_000_000), seed=SEED, num_workers=Whole(0, 256))
 @dataclass(frozen=True)
 class DataSettings(Settings):
     """Settings of a `TrajectoryDataModule`; `changed(name=value)` gives others.

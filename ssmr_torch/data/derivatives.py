@@ -8,6 +8,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import savgol_coeffs
 
+from ssmr_torch.checked_arguments import checked
+from ssmr_torch.ranges import Number, Whole
+
 
 @dataclass(frozen=True)
 class Stencil:
@@ -58,6 +61,7 @@ class Stencil:
         return inputs[self.half_width:self.half_width + rows]
 
 
+@checked(order=Whole(2, 20))
 def central_difference(order: int = 6) -> Stencil:
     """Central difference of even order; order 6 has the weights ±3/4, ∓3/20, ±1/60."""
     if order < 2 or order % 2:
@@ -68,6 +72,7 @@ def central_difference(order: int = 6) -> Stencil:
     return Stencil(tuple(0.5 * (weights - weights[::-1])), f"central difference of order {order}")
 
 
+@checked(window=Whole(3, 1001), degree=Whole(1, 10))
 def savitzky_golay(window: int = 9, degree: int = 4) -> Stencil:
     """Derivative of the least-squares polynomial of this degree over `window` samples (SciPy's coefficients)."""
     if window % 2 != 1 or not 1 <= degree < window:
@@ -77,6 +82,7 @@ def savitzky_golay(window: int = 9, degree: int = 4) -> Stencil:
                    f"Savitzky-Golay, {window} samples, degree {degree}")
 
 
+@checked(width=Number(0.25, 1e3))
 def gaussian(width: float = 1.5) -> Stencil:
     """Derivative of the signal smoothed by a Gaussian of standard deviation `width` samples (SciPy's filter)."""
     if not 0.25 <= width < np.inf:

@@ -60,41 +60,6 @@ def persistent_gap(observation: np.ndarray) -> np.ndarray:
     return np.r_[np.zeros(GUARD), gap, np.zeros(GUARD)]
 
 
-def count_blips(observation: np.ndarray, ratio: float = 5.0) -> int:
-    """Number of single samples that jump away by more than `ratio` times the local step and return (camera errors)."""
-    y = np.asarray(observation, dtype=np.float64)
-    if len(y) < 5:
-        return 0
-    away = np.linalg.norm(y[2:-2] - (y[1:-3] + y[3:-1]) / 2, axis=1)
-    around = np.maximum.reduce([np.linalg.norm(late - early, axis=1) for early, late in (
-        (y[:-4], y[1:-3]), (y[1:-3], y[3:-1]), (y[3:-1], y[4:]))])
-    floor = 5e-3 * np.linalg.norm(np.ptp(y, axis=0))
-    return int(np.sum(away > np.maximum(ratio * around, floor)))
-
-
-def count_frozen(observation: np.ndarray, window: int = 5) -> int:
-    """Number of samples that repeat a value exactly while the robot moves (the camera lost the marker).
-
-    Rounded values also repeat at rest and at turning points. Therefore the value must move in the same direction over
-    the `window` samples before and after, each time by more than two of its smallest steps and by more than half its
-    median step per sample.
-    """
-    rows = np.arange(len(observation))
-    frozen = np.zeros(len(rows), dtype=bool)
-    for y in np.transpose(observation):
-        steps = np.abs(np.diff(y))
-        changes = np.flatnonzero(steps) + 1
-        if not len(changes):
-            continue
-        slowest = max(2 * steps[steps > 0].min(), np.median(steps) / 2)
-        first, last = np.r_[0, changes], np.r_[changes - 1, rows[-1]]
-        before = y[first] - y[np.maximum(first - window, 0)]
-        after = y[np.minimum(last + window, rows[-1])] - y[last]
-        moving = (before * after > 0) & (np.minimum(np.abs(before), np.abs(after)) > window * slowest)
-        frozen |= np.repeat(moving, last - first + 1) & np.r_[False, steps == 0]
-    return int(frozen.sum())
-
-
 def check_seams(found, known, source: str) -> None:
     """Raises ValueError if the seams found in a published file differ from its known seams."""
     if list(found) != list(known):

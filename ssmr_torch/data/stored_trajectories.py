@@ -8,10 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.assembly import fingerprint
+from ssmr_torch.quantities import PATH
+from ssmr_torch.ranges import Each, Either
 from ssmr_torch.trajectory import TrajectoryDataset
 
 
+@checked(path=Either(PATH, Each(PATH), said="the path of a file, or a list of paths"))
 def stored(path: str | Path | Sequence[str | Path]) -> TrajectoryDataset:
     """The dataset in a file written by `TrajectoryDataset.save`, or in several files of one robot, without conversion.
 

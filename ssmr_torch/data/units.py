@@ -14,6 +14,7 @@ from ssmr_torch.recording_clocks.time_units import SYNONYMS, TIME_UNITS
 UNITS = {"length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3}, "input": {"N": 1.0, "mN": 1e-3, "1": 1.0},
          "time": TIME_UNITS}
 LARGEST_INPUT = {"N": 100.0, "1": 10.0}
+SMALLEST_INPUT = 1e-2  # N; less moves hardly any soft robot
 COLUMNS = {"length": "observations", "input": "inputs"}
 CARD_KEYS = {"length": "range", "input": "largest_input"}
 
@@ -67,6 +68,13 @@ class Plausible:
         if key == "input":
             return 0.0, self.largest_input or LARGEST_INPUT["1" if unit == "1" else "N"]
         return self.displacement
+
+    def too_small(self, largest: float, units: Units) -> str:
+        """What to say of a largest input, in N or 1, that is so small that its unit is doubtful; else ""."""
+        if units.input != "mN" or not 0 < largest < SMALLEST_INPUT:
+            return ""
+        return (f"the largest input is {largest:.3g} N when the inputs are read in mN; expected at least "
+                f"{SMALLEST_INPUT:g} N: if the file holds N, set units.input: N")
 
     def refuse(self, key: str, value: float, units: Units, quantity: str) -> None:
         """Raises ValueError, naming the units that are likelier, unless `value` (SI units) is plausible.

@@ -86,8 +86,8 @@ def _refuse_unavailable(formats: Sequence[str]) -> None:
 
 def _write_c(loaded: Artifact, batch: dict[str, np.ndarray], aside: Path) -> Form:
     name, source, header = write_c(loaded.model, loaded.card)
-    (aside / f"{name}.c").write_text(source)
-    (aside / f"{name}.h").write_text(header)
+    (aside / f"{name}.c").write_text(source, encoding="utf-8")
+    (aside / f"{name}.h").write_text(header, encoding="utf-8")
     files, steering = [f"{name}.c", f"{name}.h"], _write_c_controller(loaded, aside)
     if steering is not None:
         files += [f"{name}_controller.c", f"{name}_controller.h"]
@@ -110,8 +110,8 @@ def _write_c_controller(loaded: Artifact, aside: Path):
 
     steering = write_controller(loaded.model, loaded.card, loaded.designed)
     if steering is not None:
-        (aside / f"{steering.name}_controller.c").write_text(steering.source)
-        (aside / f"{steering.name}_controller.h").write_text(steering.header)
+        (aside / f"{steering.name}_controller.c").write_text(steering.source, encoding="utf-8")
+        (aside / f"{steering.name}_controller.h").write_text(steering.header, encoding="utf-8")
     return steering
 
 

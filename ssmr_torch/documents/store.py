@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
 import textwrap
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 from ssmr_torch.data_sheet import number
+from ssmr_torch.result_files import save_text
 
 FOLDER = Path("docs", "numbers")
 NAME = re.compile(r"[a-z0-9_]+")
@@ -112,9 +112,7 @@ def write(path: Path, numbers: Numbers) -> None:
             parts.append(f' "{key}": [\n  {lines}\n ]')
         elif value is not None and value != "":
             parts.append(f' "{key}": {json.dumps(value, ensure_ascii=False)}')
-    aside = path.with_name(path.name + ".part")
-    aside.write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")
-    os.replace(aside, path)
+    save_text(path, "{\n" + ",\n".join(parts) + "\n}\n")
 
 
 def rounded(value):

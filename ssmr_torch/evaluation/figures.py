@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
@@ -15,6 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
+
+from ssmr_torch.result_files import written_aside
 
 METHODS = {
     "SSMR": ("#0072B2", "-"), "SSSR": ("#56B4E9", "-"), "DMD": ("#E69F00", "-"), "EDMD": ("#D55E00", "-"),
@@ -76,11 +77,9 @@ def save(figure: Figure, path: str | Path) -> Path:
     path = Path(path)
     if path.suffix not in FORMATS:
         raise ValueError(f"cannot save a figure as {path.name!r}; expected a name ending in one of {FORMATS}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(path.name + ".part")
     dateless = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}, ".png": None}[path.suffix]
-    figure.savefig(aside, format=path.suffix[1:], metadata=dateless)
-    os.replace(aside, path)
+    with written_aside(path) as aside:
+        figure.savefig(aside, format=path.suffix[1:], metadata=dateless)
     return path
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
 from ssmr_torch.evaluation.figures import METHODS, MM, WIDTH, colours, panels, styled
+from ssmr_torch.result_files import written_aside
 
 AXES = ("x", "y", "z")
 SHADOW, LIT = np.array([0.25, 0.31, 0.38]), np.array([0.93, 0.91, 0.87])
@@ -124,17 +126,27 @@ def robot_animation(path: str | Path, shapes: np.ndarray, triangles: np.ndarray,
     figure.draw_without_rendering()
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
-    path.parent.mkdir(parents=True, exist_ok=True)
     writer = PillowWriter(fps=rate)
-    writer.setup(figure, aside := path.with_name(path.stem + ".part.gif"), dpi)
-    for index, time in enumerate(motion.times):
-        for view in views:
-            view.show(index)
-        title.set_text(f"{time:.2f} s")
-        writer.grab_frame()
-    writer.finish()
-    os.replace(aside, path)
+    with written_aside(path) as aside, _named_gif(aside) as gif:
+        writer.setup(figure, gif, dpi)
+        for index, time in enumerate(motion.times):
+            for view in views:
+                view.show(index)
+            title.set_text(f"{time:.2f} s")
+            writer.grab_frame()
+        writer.finish()
     return path
+
+
+@contextmanager
+def _named_gif(aside: Path) -> Iterator[Path]:
+    """A file that is named as the writer of animations asks for, and has another name at the end."""
+    gif = aside.with_suffix(".part.gif")
+    try:
+        yield gif
+        os.replace(gif, aside)
+    finally:
+        gif.unlink(missing_ok=True)
 
 
 class _Motion:

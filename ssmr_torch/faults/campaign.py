@@ -18,7 +18,8 @@ from ssmr_torch.result_files import save_csv, save_json
 ROOM = "ssmr_torch.faults"
 # Trials of recordings: one file each, with TRIALS.
 RECORDINGS = {
-    "clean": ("clean_trials",), "measurements": ("measurement_trials", "level_trials", "missing_row_trials"), "clocks": ("clock_trials",),
+    "clean": ("clean_trials",), "measurements": ("measurement_trials", "level_trials", "missing_row_trials"),
+    "clocks": ("clock_trials", "two_clock_trials"),
     "text": ("dialect_trials",), "tools": ("tool_trials", "container_trials"), "cards": ("card_trials",)}
 
 

@@ -34,13 +34,30 @@ def whole_numbers(made, rng, folder):
     return Expected(f"frame numbers from {first} in the column of time, unit s", refused=True, remedy=("frame", "rate"))
 
 
+def counted(made, rate: int) -> None:
+    """Frame numbers in a column of their own and the rate in the card."""
+    made.card["columns"] = {"frame" if key == "time" else key: value for key, value in made.card["columns"].items()}
+    made.card["rate"] = rate
+
+
 @TRIALS.of("frames as a clock")
-def every_other_frame(made, rng, folder):
+def missing_numbers_are_missing_frames(made, rng, folder):
+    for name, run in made.runs.items():
+        run.time = 7 + np.arange(len(run))
+        if name in made.controlled():
+            run.keep(np.setdiff1d(np.arange(1500), rng.choice(np.arange(5, 1495, 7), 30, replace=False)))
+    counted(made, 100)
+    return Expected("30 numbers missing in each controlled run, the card gives the rate", refused=False, error=1.1,
+                    timestep=0.01)
+
+
+@TRIALS.of("frames as a clock")
+def a_counter_of_eight_bits_with_its_rate(made, rng, folder):
     for run in made.runs.values():
-        run.time = 2 * np.arange(len(run))
-    made.card["units"]["time"] = "ms"
-    return Expected("frames of 200 Hz, each second one written, said to be ms", remedy=("frame|rate|ms",),
-                    said=("frame|whole",))
+        run.time = (200 + np.arange(len(run))) % 256
+    counted(made, 100)
+    return Expected("a counter of 8 bits, the card gives the rate", error=1.05, remedy=("wrap|again|restart|back",),
+                    timestep=0.01)
 
 
 @TRIALS.of("frames as a clock")
@@ -73,6 +90,15 @@ def early_inputs(made, rng, folder):
 
 
 @TRIALS.of("inputs that lag")
+def removed_on_request(made, rng, folder):
+    rows = int(rng.choice([-2, 4, 9]))
+    lagging(made, rows)
+    made.card["input_lag"] = "remove"
+    return Expected(f"inputs of all runs {rows} rows late, input_lag: remove", refused=False, error=1.2,
+                    said=("lag|late|early",))
+
+
+@TRIALS.of("inputs that lag")
 def one_run_alone(made, rng, folder):
     run, rows = str(rng.choice(made.controlled())), int(rng.integers(6, 15))
     made.runs[run].u = np.roll(made.runs[run].u, rows, axis=0)
@@ -97,6 +123,13 @@ def threes(made, rng, folder):
     bursts(made, 3)
     return Expected("stamps in threes", remedy=("threes|3", "burst|arrive|evenly"), said=("threes|3",), error=1.3,
                     timestep=0.01)
+
+
+@TRIALS.of("stamps in bursts")
+def fives_spread_evenly(made, rng, folder):
+    bursts(made, 5)
+    made.card["stamps"] = "even"
+    return Expected("stamps in fives, stamps: even", refused=False, said=("fives|5",), error=1.2, timestep=0.01)
 
 
 @TRIALS.of("stamps in bursts")

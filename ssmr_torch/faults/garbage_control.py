@@ -26,7 +26,7 @@ NEAR = 1e-3             # m, of a measurement with noise alone
 
 @dataclass
 class Endured:
-    """faults: steps with one. exceptions: by text. outside: inputs out of bounds. grown: MB. longest: step, s of CPU."""
+    """faults: steps with one. exceptions: by text. outside: inputs out of bounds. grown: MB. longest: step, s."""
 
     faults: int = 0
     exceptions: Counter = field(default_factory=Counter)

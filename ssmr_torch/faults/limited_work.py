@@ -5,9 +5,17 @@ from __future__ import annotations
 import multiprocessing
 import os
 from multiprocessing.connection import Connection
+from time import sleep as wait
 from typing import Any
 
 from ssmr_torch.lazy import found
+
+try:
+    import resource
+except ImportError:  # Windows has no limits of this kind
+    resource = None
+
+MEMORY = 6 << 30  # bytes of a call
 
 
 class TookTooLong(Exception):
@@ -18,7 +26,13 @@ class ProcessEnded(Exception):
     """The process of the call is gone, such as after a crash of compiled code or for want of memory."""
 
 
+def sleep(seconds: float) -> None:
+    """Does nothing for so long; with it the time limit is tried."""
+    wait(seconds)
+
+
 def _serve(pipe: Connection) -> None:
+    _limit_memory()
     while True:
         target, arguments = pipe.recv()
         if target is None:
@@ -27,6 +41,14 @@ def _serve(pipe: Connection) -> None:
             pipe.send((True, found(target)(**arguments)))
         except Exception as error:  # whatever it is: the caller judges
             pipe.send((False, f"{type(error).__name__}: {error}"))
+
+
+def _limit_memory() -> None:
+    """A file that asks for everything shall not take it from other programs."""
+    if resource is not None:
+        _, highest = resource.getrlimit(resource.RLIMIT_DATA)
+        limit = MEMORY if highest == resource.RLIM_INFINITY else min(MEMORY, highest)
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, highest))
 
 
 class LimitedWork:

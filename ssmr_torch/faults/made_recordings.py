@@ -28,7 +28,7 @@ SHAPES = (np.array([[1.0, 0.2, 0.3, -0.1], [-0.2, 0.9, 0.1, 0.6], [0.25, -0.3, 0
 class Robot:
     """ẋ = A x + B u, y = C x + rest: damped oscillations that the inputs drive.
 
-    modes: pairs of states; decays from 1.5 1/s on, frequencies from 12.5 rad/s on. markers: with three coordinates each.
+    modes: pairs of states; decays from 1.5 1/s on, frequencies from 12.5 rad/s on. markers: three coordinates each.
     """
 
     modes: int = 2
@@ -122,17 +122,19 @@ class MadeRecordings:
         run = self.runs[name]
         return np.column_stack([run.time, run.y, run.u])
 
+    @property
+    def clock(self) -> str | None:
+        """Name of the column of stamps or of frame numbers."""
+        return self.card["columns"].get("time") or self.card["columns"].get("frame")
+
     def header(self) -> list[str]:
-        clock = self.card["columns"].get("time")
-        return [*([clock] if clock else []), *self.observation, *self.input]
+        return [*([self.clock] if self.clock else []), *self.observation, *self.input]
 
     def rows(self, name: str) -> list[str]:
         """The rows of a run as text of comma separated values, without the header."""
-        table = self.table(name)
-        table = table if self.card["columns"].get("time") else table[:, 1:]
-        form = f"%.{self.digits}g"
-        clock = ["%.10g"] if self.card["columns"].get("time") else []
-        forms = [*clock, *[form] * (table.shape[1] - len(clock))]
+        table = self.table(name) if self.clock else self.table(name)[:, 1:]
+        clock = ["%.10g"] if self.clock else []
+        forms = [*clock, *[f"%.{self.digits}g"] * (table.shape[1] - len(clock))]
         return [",".join("" if np.isnan(value) else text % value for text, value in zip(forms, row)) for row in table]
 
     def write(self, folder: Path, names: Iterable[str] | None = None) -> Path:

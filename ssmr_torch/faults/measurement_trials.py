@@ -95,6 +95,14 @@ def a_camera_of_a_third_of_the_rate(made, rng, folder):
 
 
 @TRIALS.of("held values")
+def a_camera_of_half_the_rate_thinned(made, rng, folder):
+    for name in made.training():
+        made.runs[name].y = made.runs[name].y[2 * (np.arange(len(made.runs[name])) // 2)]
+    made.card["faults"] = {"slow_camera": "thin"}
+    return Expected("positions at 50 Hz in a log of 100 Hz, thinned", said=("50",), error=2.2, refused=False)
+
+
+@TRIALS.of("held values")
 def a_camera_that_misses_every_other_sample_of_one_run(made, rng, folder):
     run = str(rng.choice(made.controlled()))
     made.runs[run].y = made.runs[run].y[2 * (np.arange(1500) // 2)]

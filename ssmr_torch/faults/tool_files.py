@@ -40,7 +40,8 @@ def motive(path: Path, *, version: str = "1.23", units: str = "Millimeters", sca
     columns += [("Marker", "tip", "Position", axis, list(y[:, k])) for k, axis in enumerate("XYZ")]
     columns += [("Marker", "base", "Position", axis, [float(k)] * COUNT) for k, axis in enumerate("XYZ")]
     head = [f"Format Version,{version},Take Name,m,Take Notes,,Capture Frame Rate,100.000000,"
-            f"Export Frame Rate,100.000000,Capture Start Time,2024-05-01 10.00.00.000 AM,Capture Start Frame,0,Total Frames in Take,{COUNT},"
+            f"Export Frame Rate,100.000000,Capture Start Time,2024-05-01 10.00.00.000 AM,Capture Start Frame,0,"
+            f"Total Frames in Take,{COUNT},"
             f"Total Exported Frames,{COUNT},Rotation Type,{rotation},Length Units,{units},Coordinate Space,Global", ""]
     told = [(",Type", 0), (",Name", 1), (",ID", 1), (",", 2)] if float(version) < 1.24 else \
         [(",Type", 0), (",Name", 1), (",ID", 1), (",Parent", 4), (",", 2)]

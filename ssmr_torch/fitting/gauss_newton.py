@@ -10,12 +10,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.windows import RolloutBatch
 from ssmr_torch.fitting.lightning_fit import ModelFit
 from ssmr_torch.fitting.rollout_sensitivities import coefficients, rollout_sensitivities
 from ssmr_torch.fitting.stability import StabilityGuard
 from ssmr_torch.models.batch_rollout import batch_of
 from ssmr_torch.models.torch_model import TorchModel
+from ssmr_torch.quantities import DURATION, GUARD, TEXT
+from ssmr_torch.ranges import Each, Number, Whole
 
 LARGEST = 6000           # coefficients; the normal matrix of so many takes 0.3 GB
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-6, 1e4
@@ -119,6 +122,8 @@ class GaussNewtonFit(ModelFit):
     selects, monitor = True, "validation/guarded"
     kept = ("repairs", "_weights", "_room", "_last_gain", "_stress")
 
+    @checked(epochs=Whole(0, 100_000), starts=Whole(1, 1_000_000), horizon=DURATION, samples=Whole(1, 10_000),
+             trained=Each(TEXT, 1, 3), damping=Number(1e-12, 1e12), tolerance=Number(0.0, 1.0), **GUARD)
     def __init__(self, model: TorchModel, *, epochs: int = 15, starts: int = 400, horizon: float = 1.0,
                  samples: int = 10, trained: Sequence[str] = ("dynamics",), damping: float = 1e-2,
                  tolerance: float = 0.01, margin: float = 0.05, reach: float = 3.0, overdrive: float = 1.25):

@@ -8,10 +8,13 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.windows import RolloutBatch
 from ssmr_torch.fitting.lightning_fit import ModelFit
 from ssmr_torch.fitting.scaled_adam import ScaledAdam, table_scales
 from ssmr_torch.models.torch_model import TorchModel
+from ssmr_torch.quantities import DURATION, TEXT
+from ssmr_torch.ranges import Each, Number, OrNone, Whole
 
 
 class GradientFit(ModelFit):
@@ -34,6 +37,9 @@ class GradientFit(ModelFit):
 
     selects, kept = True, ("_start_power", "_best", "_waited")
 
+    @checked(epochs=Whole(1, 1_000_000), learning_rate=Number(1e-12, 10.0), frozen=Each(TEXT, 0, 1000),
+             gradient_clip=Number(1e-12, 1e12), weight_decay=Number(0.0, 1e6), first_share=Number(1e-3, 1.0),
+             patience=OrNone(Whole(1, 1_000_000)), minutes=OrNone(Number(1e-6, 1e6, "min")), horizon=OrNone(DURATION))
     def __init__(self, model: TorchModel, *, epochs: int = 20, learning_rate: float = 3e-4,
                  frozen: Sequence[str] = ("chart", "parametrization"), gradient_clip: float = 1.0,
                  weight_decay: float = 0.0, first_share: float = 1.0, patience: int | None = None,

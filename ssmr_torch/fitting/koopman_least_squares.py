@@ -7,11 +7,13 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor, nn
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.windows import Segment, delay_windows
 from ssmr_torch.fitting.ssmr_least_squares import Regression
 from ssmr_torch.fitting.streamed_least_squares import Solution
 from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.periods import whole_multiple
+from ssmr_torch.ranges import Each, OneOf
 
 # of the largest input of a run
 SAME_INPUT = 1e-9
@@ -34,6 +36,7 @@ class KoopmanLeastSquares(nn.Module):
 
     names = ("scale", "transition", "pregain")
 
+    @checked(kinds=Each(OneOf("decay", "controlled", "static"), 1, 3))
     def __init__(self, model: Koopman, *, kinds: tuple[str, ...] = ("decay", "controlled")):
         super().__init__()
         unknown = [kind for kind in kinds if kind not in ("decay", "controlled", "static")]

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, distributed
 from torch.utils.data import DistributedSampler
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.starts import ScoredRuns
 from ssmr_torch.data.windows import Segment, delay_windows
 from ssmr_torch.fitting.closed_form_fit import ExactSolve
@@ -18,6 +19,8 @@ from ssmr_torch.fitting.scores import diverged_under_stress, scores
 from ssmr_torch.fitting.ssmr_least_squares import LeastSquaresModel
 from ssmr_torch.fitting.streamed_least_squares import PENALTIES, ridge_candidates
 from ssmr_torch.models.torch_model import TorchModel
+from ssmr_torch.quantities import RIDGE
+from ssmr_torch.ranges import OneOf, Whole
 
 
 def description(model: TorchModel) -> dict:
@@ -129,6 +132,7 @@ class LeastSquaresFit(ModelFit):
 
     kept = ("solutions",)
 
+    @checked(ridge=RIDGE, folds=Whole(2, 1000), penalty=OneOf(*sorted(PENALTIES)))
     def __init__(self, procedure: LeastSquaresModel, ridge: float | Sequence | dict = 0.0, folds: int = 5,
                  penalty: str = "ridge"):
         super().__init__(procedure.model)

@@ -7,12 +7,14 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor, nn
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.derivatives import Stencil, central_difference
 from ssmr_torch.data.windows import Segment, delay_windows
 from ssmr_torch.fitting.ssmr_least_squares import Regression
 from ssmr_torch.fitting.streamed_least_squares import Solution, singular_values
 from ssmr_torch.models.torch_model import PolynomialTorchModel
 from ssmr_torch.periods import TOLERANCE
+from ssmr_torch.ranges import OneOf, Whole
 
 
 class PolynomialLeastSquares(nn.Module):
@@ -36,6 +38,8 @@ class PolynomialLeastSquares(nn.Module):
 
     names = ("coordinates", "dynamics", "parametrization")
 
+    @checked(chart=OneOf("predictive", "tangent_space"), future=Whole(1, 10_000),
+             manifold_data=OneOf("decays", "all"))
     def __init__(self, model: PolynomialTorchModel, *, derivative: Stencil | None = None, chart: str = "predictive",
                  future: int = 10, manifold_data: str = "decays"):
         super().__init__()

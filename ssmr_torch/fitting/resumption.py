@@ -119,7 +119,8 @@ def _other_runs(then: Mapping, now: Mapping) -> Iterator[str]:
 
 def _different(name: str, old, new) -> Iterator[tuple]:
     """The keys in which two configurations differ, and both values."""
-    if isinstance(old, Mapping) and isinstance(new, Mapping):
+    if isinstance(old, Mapping | None) and isinstance(new, Mapping | None) and old != new:
+        old, new = old or {}, new or {}
         for key in sorted(old.keys() | new.keys()):
             yield from _different(f"{name}.{key}", old.get(key), new.get(key))
     elif old != new:

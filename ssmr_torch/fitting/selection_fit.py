@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from tqdm import tqdm
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.refusals import check_learnable, refuse_still_inputs
 from ssmr_torch.data.windows import Segment
 from ssmr_torch.fitting.closed_form_fit import ExactSolve
@@ -12,6 +13,7 @@ from ssmr_torch.fitting.lightning_fit import ModelFit
 from ssmr_torch.keywords import configurable
 from ssmr_torch.models.slow_fast import SlowFast
 from ssmr_torch.periods import whole_multiple
+from ssmr_torch.quantities import TRUTH
 from ssmr_torch.selection.choose import Choice, choose
 from ssmr_torch.selection.settings import SelectionSettings
 
@@ -28,6 +30,7 @@ class SelectionFit(ModelFit):
     epochs, kept = 1, ("found", "facts")
 
     @configurable(SelectionSettings, given=("settings",))
+    @checked(progress=TRUTH)
     def __init__(self, model: SlowFast, settings: SelectionSettings | None = None, *, progress: bool = True, **changes):
         super().__init__(model)
         if not isinstance(model, SlowFast):

@@ -8,11 +8,13 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.derivatives import Stencil, central_difference
 from ssmr_torch.data.windows import Segment, delay_windows
 from ssmr_torch.fitting.streamed_least_squares import Solution, singular_values
 from ssmr_torch.models.monomials import graded
 from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.ranges import OneOf, OrNone, Whole
 
 
 class Regression(NamedTuple):
@@ -63,6 +65,9 @@ class SSMRLeastSquares(nn.Module):
 
     names = ("tangent_space", "reparametrization", "parametrization", "chart", "drift", "control", "dynamics")
 
+    @checked(calibration=OneOf("joint", "frozen"), parametrization_fit=OneOf("full", "tangent"),
+             input_alignment=OneOf("held", "sample"), detection_delays=OrNone(Whole(0, 1000)),
+             manifold_data=OneOf("decays", "all"))
     def __init__(self, model: SSMR, *, derivative: Stencil | None = None, calibration: str = "joint",
                  parametrization_fit: str = "full", input_alignment: str = "held",
                  detection_delays: int | None = None, manifold_data: str = "decays"):

@@ -11,12 +11,14 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.windows import RolloutBatch, RolloutDataset
 from ssmr_torch.fitting.lightning_fit import ModelFit
 from ssmr_torch.fitting.rollout_sensitivities import dynamics_tables
 from ssmr_torch.models.batch_rollout import BatchRollout, batch_of
 from ssmr_torch.models.integrators import DIVERGENCE_FACTOR
 from ssmr_torch.models.torch_model import TorchModel
+from ssmr_torch.quantities import GUARD
 
 HALVINGS = 12
 
@@ -168,6 +170,7 @@ class GuardFit(ModelFit):
 
     epochs, starts, kept = 1, 1, ("repairs",)
 
+    @checked(**GUARD)
     def __init__(self, model: TorchModel, *, margin: float = 0.05, reach: float = 3.0,
                  overdrive: float = 1.25):
         super().__init__(model)

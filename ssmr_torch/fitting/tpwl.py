@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.windows import Segment
 from ssmr_torch.fitting.closed_form_fit import ExactSolve
 from ssmr_torch.fitting.dimension import captured_variance
@@ -20,6 +21,8 @@ from ssmr_torch.keywords import configurable
 from ssmr_torch.models.torch_model import fill
 from ssmr_torch.models.tpwl import TPWL
 from ssmr_torch.plants.finite_element.robot import FiniteElementRobot
+from ssmr_torch.quantities import NOISE, TEXT, TRUTH
+from ssmr_torch.ranges import Either, Number, Whole
 
 FOREIGN = 0.02  # relative to the outputs' size: a replay with a larger error belongs to a different robot
 
@@ -55,6 +58,9 @@ class PlantLinearization:
 
     before = after = 0
 
+    @checked(modes=Either(Whole(1, 10_000), TEXT, said="a whole number from 1 to 10000, or variance:SHARE"),
+             points=Whole(1, 100_000), tolerance=Number(0.0, 1.0), snapshots=Whole(1, 1_000_000),
+             blend=Number(0.0, 1e3), process_noise=Number(0.0, 1e12), measurement_noise=NOISE, progress=TRUTH)
     def __init__(self, plant: FiniteElementRobot | None, *, modes: int | str = 21, points: int = 400,
                  tolerance: float = 1e-3, snapshots: int = 1200, blend: float = 0.0, process_noise: float = 1.0,
                  measurement_noise: float = 1e-5, progress: bool = True):

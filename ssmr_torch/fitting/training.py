@@ -14,6 +14,7 @@ import torch
 from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.utilities import rank_zero_only
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.data.derivatives import Stencil
 from ssmr_torch.data.refusals import refuse_still_inputs
@@ -27,11 +28,14 @@ from ssmr_torch.fitting.linear_start import LinearStart
 from ssmr_torch.fitting.neural_ode_start import NeuralODEStart
 from ssmr_torch.fitting.polynomial_least_squares import PolynomialLeastSquares
 from ssmr_torch.fitting.ssmr_least_squares import SSMRLeastSquares
+from ssmr_torch.fitting.streamed_least_squares import PENALTIES
 from ssmr_torch.keywords import configurable
 from ssmr_torch.models.koopman import Koopman
 from ssmr_torch.models.neural_ode import NeuralODE
 from ssmr_torch.models.ssmr import SSMR
 from ssmr_torch.models.torch_model import PolynomialTorchModel, TorchModel
+from ssmr_torch.quantities import RIDGE
+from ssmr_torch.ranges import OneOf, Whole
 from ssmr_torch.trajectory import TrajectoryDataset
 
 # The λ from which cross-validation chooses, by regression name; "default" is for regressions that are not named.
@@ -72,6 +76,7 @@ class Training:
 
 
 @configurable(SSMRLeastSquares)
+@checked(ridge=RIDGE, folds=Whole(2, 1000))
 def least_squares(model: SSMR, *, ridge: float | Sequence | Mapping = FINE_RIDGES, folds: int = 5,
                   derivative: Stencil | None = None, **options) -> LeastSquaresFit:
     """Closed-form fit of an SSMR; options as in `SSMRLeastSquares`, ridge and folds as in `LeastSquaresFit`."""
@@ -79,6 +84,7 @@ def least_squares(model: SSMR, *, ridge: float | Sequence | Mapping = FINE_RIDGE
 
 
 @configurable(PolynomialLeastSquares)
+@checked(ridge=RIDGE, folds=Whole(2, 1000))
 def polynomial_least_squares(model: PolynomialTorchModel, *, ridge: float | Sequence | Mapping = RIDGES,
                              folds: int = 5, derivative: Stencil | None = None, **options) -> LeastSquaresFit:
     """Closed-form fit of any polynomial model; options as in `PolynomialLeastSquares`."""
@@ -86,6 +92,7 @@ def polynomial_least_squares(model: PolynomialTorchModel, *, ridge: float | Sequ
 
 
 @configurable(PolynomialLeastSquares)
+@checked(ridge=RIDGE, folds=Whole(2, 1000))
 def linear_start(model: TorchModel, *, ridge: float | Sequence | Mapping = RIDGES, folds: int = 5,
                  **options) -> LeastSquaresFit:
     """Closed-form fit of a linear model, from which any other model starts; options as in `PolynomialLeastSquares`."""
@@ -93,6 +100,7 @@ def linear_start(model: TorchModel, *, ridge: float | Sequence | Mapping = RIDGE
 
 
 @configurable(KoopmanLeastSquares)
+@checked(ridge=RIDGE, folds=Whole(2, 1000), penalty=OneOf(*sorted(PENALTIES)))
 def koopman_least_squares(model: Koopman, *, ridge: float | Sequence | Mapping = FINE_RIDGES, folds: int = 5,
                           penalty: str = "ridge", **options) -> LeastSquaresFit:
     """Closed-form fit of a Koopman model; options as in `KoopmanLeastSquares`, others as in `LeastSquaresFit`."""
@@ -100,6 +108,7 @@ def koopman_least_squares(model: Koopman, *, ridge: float | Sequence | Mapping =
 
 
 @configurable(SSMRLeastSquares)
+@checked(ridge=RIDGE, folds=Whole(2, 1000))
 def neural_ode_start(model: NeuralODE, *, ridge: float | Sequence | Mapping = RIDGES, folds: int = 5,
                      derivative: Stencil | None = None, **options) -> LeastSquaresFit:
     """Closed-form start of a neural ODE; options as in `SSMRLeastSquares`."""

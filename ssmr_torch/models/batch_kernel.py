@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from ssmr_torch import compiled_functions
 from ssmr_torch.models.batch_rollout import BatchRollout
 from ssmr_torch.models.held_input import output_table, products
 from ssmr_torch.models.monomials import Form, Monomials
@@ -25,7 +25,7 @@ ROWS, COLUMNS = 4, 4   # block of a full table that is multiplied at a time
 SPARSE = 3         # time for one entry of a sparse row, in entries of a full row
 
 # The compiler may reorder sums, but must keep NaN and infinity, because they mark a diverged rollout.
-compiled = njit(cache=True, fastmath={"reassoc", "contract"})
+compiled = compiled_functions.compiled(fastmath={"reassoc", "contract"})
 
 
 class FormTables(NamedTuple):

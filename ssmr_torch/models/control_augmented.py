@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.models.named_structures import control_augmented_structure
 from ssmr_torch.models.torch_model import PolynomialTorchModel, check_degrees, table
+from ssmr_torch.quantities import DEGREE, DELAYS, MODEL_TIMESTEP, STATES, TIMESTEP, TRUTH
+from ssmr_torch.ranges import OrNone
 
 
 class ControlAugmentedSSMR(PolynomialTorchModel):
@@ -26,6 +29,9 @@ class ControlAugmentedSSMR(PolynomialTorchModel):
 
     tables = {"chart": ("chart",), "parametrization": ("parametrization",), "dynamics": ("dynamics_table",)}
 
+    @checked(state_dim=STATES, delays=DELAYS, timestep=MODEL_TIMESTEP, window_timestep=OrNone(TIMESTEP),
+             parametrization_degree=DEGREE, dynamics_degree=DEGREE, input_degree=OrNone(DEGREE),
+             state_degree=OrNone(DEGREE), saturated=TRUTH, base_timestep=OrNone(TIMESTEP))
     def __init__(self, state_dim: int, input_dim: int, output_dim: int, delays: int = 1, *,
                  parametrization_degree: int = 1, dynamics_degree: int = 2, input_degree: int | None = 1,
                  state_degree: int | None = None, saturated: bool = True, timestep: float = 0.01,
@@ -55,6 +61,9 @@ class ControlAugmentedSSMR(PolynomialTorchModel):
 class ControlAugmentedSSSR(ControlAugmentedSSMR):
     """The linear counterpart of the control-augmented SSMR: linear in the state, bilinear in state and input."""
 
+    @checked(state_dim=STATES, delays=DELAYS, timestep=MODEL_TIMESTEP, window_timestep=OrNone(TIMESTEP),
+             parametrization_degree=DEGREE, dynamics_degree=DEGREE, input_degree=OrNone(DEGREE), saturated=TRUTH,
+             base_timestep=OrNone(TIMESTEP))
     def __init__(self, state_dim: int, input_dim: int, output_dim: int, delays: int = 1, *,
                  parametrization_degree: int = 1, dynamics_degree: int = 2, input_degree: int | None = 1,
                  saturated: bool = True, timestep: float = 0.01, window_timestep: float | None = None,

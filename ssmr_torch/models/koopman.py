@@ -5,9 +5,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.models.named_structures import koopman, koopman_structure
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.torch_model import TorchModel, table
+from ssmr_torch.quantities import DEGREE, DELAYS, MODEL_TIMESTEP, TIMESTEP, TRUTH
+from ssmr_torch.ranges import OrNone
 
 
 class Koopman(TorchModel):
@@ -27,6 +30,8 @@ class Koopman(TorchModel):
     Raises ValueError for input_delays above `delays`, or a degree below 1.
     """
 
+    @checked(delays=DELAYS, timestep=MODEL_TIMESTEP, window_timestep=OrNone(TIMESTEP), input_delays=DELAYS,
+             constant=TRUTH, base_timestep=OrNone(TIMESTEP), degree=DEGREE, relift=TRUTH)
     def __init__(self, input_dim: int, output_dim: int, delays: int = 1, *, input_delays: int = 1, degree: int = 1,
                  constant: bool = True, bilinear: bool = False, relift: bool = False, pregain: bool = False,
                  timestep: float = 0.01, window_timestep: float | None = None, base_timestep: float | None = None):
@@ -71,6 +76,8 @@ class Koopman(TorchModel):
 class DMD(Koopman):
     """Dynamic mode decomposition with control and delays: z = [1, ζ / scale], z⁺ = A z + B u."""
 
+    @checked(delays=DELAYS, timestep=MODEL_TIMESTEP, window_timestep=OrNone(TIMESTEP), input_delays=DELAYS,
+             constant=TRUTH, base_timestep=OrNone(TIMESTEP))
     def __init__(self, input_dim: int, output_dim: int, delays: int = 1, *, input_delays: int = 1,
                  constant: bool = True, timestep: float = 0.01, window_timestep: float | None = None,
                  base_timestep: float | None = None):
@@ -82,6 +89,8 @@ class EDMD(Koopman):
     """Extended DMD: monomials of ζ / scale up to a degree, z⁺ = A z + B u; with re-lifting at every step if `relift`.
     """
 
+    @checked(delays=DELAYS, timestep=MODEL_TIMESTEP, window_timestep=OrNone(TIMESTEP), input_delays=DELAYS,
+             constant=TRUTH, base_timestep=OrNone(TIMESTEP), degree=DEGREE, relift=TRUTH)
     def __init__(self, input_dim: int, output_dim: int, delays: int = 1, *, input_delays: int = 1, degree: int = 2,
                  constant: bool = True, relift: bool = False, timestep: float = 0.01,
                  window_timestep: float | None = None, base_timestep: float | None = None):
@@ -96,6 +105,8 @@ class BilinearEDMD(Koopman):
     The default degree is 1, because most data determine no more than the products of ζ with the input.
     """
 
+    @checked(delays=DELAYS, timestep=MODEL_TIMESTEP, window_timestep=OrNone(TIMESTEP), input_delays=DELAYS,
+             constant=TRUTH, base_timestep=OrNone(TIMESTEP), degree=DEGREE, relift=TRUTH)
     def __init__(self, input_dim: int, output_dim: int, delays: int = 1, *, input_delays: int = 1, degree: int = 1,
                  constant: bool = True, relift: bool = False, timestep: float = 0.01,
                  window_timestep: float | None = None, base_timestep: float | None = None):
@@ -107,6 +118,8 @@ class BilinearEDMD(Koopman):
 class StaticPregainKoopman(Koopman):
     """Linear model of delayed outputs only, with the static pregain u = G [1, y], fitted to set points."""
 
+    @checked(delays=DELAYS, timestep=MODEL_TIMESTEP, window_timestep=OrNone(TIMESTEP), input_delays=DELAYS,
+             constant=TRUTH, base_timestep=OrNone(TIMESTEP))
     def __init__(self, input_dim: int, output_dim: int, delays: int = 1, *, input_delays: int = 0,
                  constant: bool = False, timestep: float = 0.01, window_timestep: float | None = None,
                  base_timestep: float | None = None):

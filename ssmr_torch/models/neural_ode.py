@@ -7,8 +7,11 @@ import math
 import torch
 from torch import Tensor, nn
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.models.neural import NeuralModel
 from ssmr_torch.models.torch_model import TorchModel, check_degrees
+from ssmr_torch.quantities import DELAYS, MODEL_TIMESTEP, STATES, SUBSTEPS, TIMESTEP
+from ssmr_torch.ranges import OrNone, Whole
 
 
 class NeuralODE(TorchModel):
@@ -26,6 +29,8 @@ class NeuralODE(TorchModel):
     Raises ValueError for fewer window values than state_dim, or a width or depth below 1.
     """
 
+    @checked(state_dim=STATES, delays=DELAYS, timestep=MODEL_TIMESTEP, window_timestep=OrNone(TIMESTEP),
+             width=Whole(1, 4096), depth=Whole(1, 50), substeps=SUBSTEPS)
     def __init__(self, state_dim: int, input_dim: int, output_dim: int, delays: int = 1, *, width: int = 64,
                  depth: int = 1, timestep: float = 0.01, window_timestep: float | None = None, substeps: int = 1):
         super().__init__(state_dim, input_dim, output_dim, delays, timestep, window_timestep)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import torch
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.models.monomials import Monomials
 from ssmr_torch.models.output_coordinates import coordinates_from_plain
 from ssmr_torch.models.polynomial import PolynomialModel
 from ssmr_torch.models.structure import Structure
 from ssmr_torch.models.torch_model import PolynomialTorchModel, TorchModel, table
+from ssmr_torch.quantities import DELAYS, MODEL_TIMESTEP, TIMESTEP
+from ssmr_torch.ranges import Number, OrNone
 
 
 class SlowFast(PolynomialTorchModel):
@@ -29,6 +32,8 @@ class SlowFast(PolynomialTorchModel):
     given = (*TorchModel.given, "structure", "coordinates", "reach")
     tables = {"chart": ("chart",), "parametrization": ("parametrization",), "dynamics": ("dynamics_table",)}
 
+    @checked(delays=DELAYS, timestep=MODEL_TIMESTEP, window_timestep=OrNone(TIMESTEP), base_timestep=OrNone(TIMESTEP),
+             reach=Number(1e-6, 1e6))
     def __init__(self, input_dim: int, output_dim: int, delays: int = 20, *, structure: dict | None = None,
                  coordinates: dict | None = None, reach: float = 2.0, timestep: float = 0.01,
                  window_timestep: float | None = None, base_timestep: float | None = None):

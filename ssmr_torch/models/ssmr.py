@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.models.named_structures import ssm_structure
 from ssmr_torch.models.torch_model import PolynomialTorchModel, check_degrees, table
+from ssmr_torch.quantities import DEGREE, DEGREE_OR_NONE, DELAYS, MODEL_TIMESTEP, STATES, SUBSTEPS, TIMESTEP
+from ssmr_torch.ranges import OrNone
 
 
 class SSMR(PolynomialTorchModel):
@@ -23,6 +26,9 @@ class SSMR(PolynomialTorchModel):
     tables = {"chart": ("chart",), "parametrization": ("parametrization",),
               "dynamics": ("drift_table", "control_table")}
 
+    @checked(state_dim=STATES, delays=DELAYS, timestep=MODEL_TIMESTEP, window_timestep=OrNone(TIMESTEP),
+             parametrization_degree=DEGREE, dynamics_degree=DEGREE, control_degree=DEGREE_OR_NONE,
+             chart_degree=DEGREE, substeps=SUBSTEPS)
     def __init__(self, state_dim: int, input_dim: int, output_dim: int, delays: int = 1, *,
                  parametrization_degree: int = 3, dynamics_degree: int = 3, control_degree: int = 1,
                  chart_degree: int = 1, timestep: float = 0.01, window_timestep: float | None = None,
@@ -56,6 +62,8 @@ class SSSR(SSMR):
         z = Vᵀ ŷ,   ŷ = V z,   dz/dt = drift · z + control · [u, z ⊗ u].
     """
 
+    @checked(state_dim=STATES, delays=DELAYS, timestep=MODEL_TIMESTEP, window_timestep=OrNone(TIMESTEP),
+             control_degree=DEGREE_OR_NONE, substeps=SUBSTEPS)
     def __init__(self, state_dim: int, input_dim: int, output_dim: int, delays: int = 1, *, control_degree: int = 1,
                  timestep: float = 0.01, window_timestep: float | None = None, substeps: int = 2):
         super().__init__(state_dim, input_dim, output_dim, delays, parametrization_degree=1, dynamics_degree=1,

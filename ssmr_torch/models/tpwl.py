@@ -5,9 +5,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.models.piecewise_linear import PiecewiseLinearModel
 from ssmr_torch.models.torch_model import TorchModel
 from ssmr_torch.periods import whole_multiple
+from ssmr_torch.quantities import DELAYS, MODEL_TIMESTEP, TIMESTEP
+from ssmr_torch.ranges import OrNone
 
 
 class TPWL(TorchModel):
@@ -25,6 +28,7 @@ class TPWL(TorchModel):
 
     given = (*TorchModel.given, "modes", "points", "width")
 
+    @checked(delays=DELAYS, timestep=MODEL_TIMESTEP, window_timestep=OrNone(TIMESTEP), base_timestep=OrNone(TIMESTEP))
     def __init__(self, input_dim: int, output_dim: int, delays: int = 10, *, modes: int = 1, points: int = 1,
                  width: float = 0.0, timestep: float = 0.01, window_timestep: float | None = None,
                  base_timestep: float | None = None):

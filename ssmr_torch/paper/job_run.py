@@ -30,7 +30,7 @@ def perform(job: Job, root: str, turn: str, groups: Sequence[str] = ()) -> dict:
     try:
         _expected(place, turn)
         log.parent.mkdir(parents=True, exist_ok=True)
-        with open(log, "w", buffering=1) as text, redirect_stdout(text), redirect_stderr(text):
+        with open(log, "w", buffering=1, encoding="utf-8") as text, redirect_stdout(text), redirect_stderr(text):
             _do(job, place, turn, groups)
     except (Exception, SystemExit) as error:
         return {"failed": _sentence(error, log)}
@@ -80,7 +80,7 @@ def _follow(step: Step, job: Job, root: Path, directory: Path, groups: Sequence[
 def _expected(root: Path, turn: str) -> None:
     """Raises InterruptedError for a job that is asked for by a command which has ended, as in a queue of a cluster."""
     path = root / "jobs" / "turn"
-    if not path.is_file() or path.read_text() != turn:
+    if not path.is_file() or path.read_text(encoding="utf-8") != turn:
         raise InterruptedError("the command that asked for this job has ended")
 
 

@@ -12,11 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.assembly import assemble, fingerprint, rest_at_end
 from ssmr_torch.data.matlab_reader import read_koopman_struct, read_ssmlearn_cells, read_vector
 from ssmr_torch.data.run_boundaries import check_seams, find_seams
 from ssmr_torch.data.sampling import IRREGULAR, SamplingRule
 from ssmr_torch.data.units import Units
+from ssmr_torch.quantities import COUNT, PATH, SHARE, TEXT, TIMESTEP, TRUTH
+from ssmr_torch.ranges import Each, Number, OneOf, OrNone, Text, Whole
 from ssmr_torch.recording_faults.recording import Recording
 from ssmr_torch.recording_files.reading import read_tables
 from ssmr_torch.trajectory import TrajectoryDataset
@@ -35,6 +38,9 @@ RELEASED = 0.05     # share of its way that a trunk has moved once it is release
 HELD = "Each input is held until the next sample and acts after the observation of its row."
 
 
+@checked(path=PATH, train=Each(TEXT, 0), test=Each(TEXT, 0), manual_decays=TRUTH, disturbed_decays=Each(COUNT, 0),
+         decay_rest=TEXT, rest=OrNone(Each(Number(-1e3, 1e3, "m"), 1, 1000)), timestep=TIMESTEP,
+         missing=Text("refuse or split"), minimum_length=Whole(2, 1_000_000))
 def real_trunk(path: str | Path, *, train: Sequence[str] = ("controlled_1",),
                    test: Sequence[str] = ("controlled_2",), manual_decays: bool = False,
                    disturbed_decays: Sequence[int] = (7,), decay_rest: str = "own",
@@ -87,6 +93,9 @@ def _trunk_assumptions(controlled: list[Recording], ends: np.ndarray, rest: np.n
         "Observation k of a controlled run is before input k; the last observation is dropped."]
 
 
+@checked(path=PATH, decays=TEXT, controlled=OrNone(TEXT), outputs=TEXT, test_decays=Each(COUNT, 0), train_share=SHARE,
+         rest=OrNone(Each(Number(-1e3, 1e3, "m"), 1, 1000)), sampling=TEXT, timestep=TIMESTEP,
+         irregularity=Number(0.0, 10.0), missing=Text("refuse or split"), minimum_length=Whole(2, 1_000_000))
 def real_diamond(path: str | Path, *, decays: str = "decays.mat",
                      controlled: str | None = "controlled_2022.mat", outputs: str = "tip",
                      test_decays: Sequence[int] = (5, 15, 21, 32, 38), train_share: float = 0.5,
@@ -128,6 +137,8 @@ def real_diamond(path: str | Path, *, decays: str = "decays.mat",
                     _provenance("real_diamond", sources, assumptions))
 
 
+@checked(path=PATH, splits=Each(OneOf("train", "validation", "test"), 1, 10), test_decays=Each(COUNT, 0), static=TRUTH,
+         missing=Text("refuse or split"))
 def authors_simulated_diamond(path: str | Path, *, splits: Sequence[str] = ("train", "test"),
                       test_decays: Sequence[int] = (), static: bool = True,
                       missing: str = "refuse") -> TrajectoryDataset:
@@ -145,6 +156,9 @@ def authors_simulated_diamond(path: str | Path, *, splits: Sequence[str] = ("tra
                       missing)
 
 
+@checked(path=PATH, rest=Each(Number(-1e3, 1e3, "m"), 1, 1000),
+         splits=Each(OneOf("train", "validation", "test"), 1, 10), static=TRUTH,
+         missing=Text("refuse or split"))
 def authors_simulated_trunk(path: str | Path, *, rest: Sequence[float] = (3.5888e-3, 0.2934e-3, 195.6144e-3),
                     splits: Sequence[str] = ("test", "train"), static: bool = True,
                     missing: str = "refuse") -> TrajectoryDataset:

@@ -59,7 +59,7 @@ def _rows(path: Path) -> list[dict]:
         return []
     return [{key: value == "true" if key == "real_time" else value if key in NOT_A_NUMBER else
              float(value) if value else math.nan if "violation" in key else math.inf for key, value in row.items()}
-            for row in csv.DictReader(path.read_text().splitlines())]
+            for row in csv.DictReader(path.read_text(encoding="utf-8").splitlines())]
 
 
 def _summary(results: Results, experiments: Sequence[str], missing: Sequence[str]) -> Section:

@@ -62,7 +62,7 @@ def _alone_in(directory: Path) -> Iterator[str]:
     jobs = directory / "jobs"
     jobs.mkdir(parents=True, exist_ok=True)
     (jobs / "lock").touch()
-    with open(jobs / "lock") as lock:
+    with open(jobs / "lock", "rb") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:

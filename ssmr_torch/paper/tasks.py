@@ -6,12 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
+from ssmr_torch.quantities import TEXT, TRACKED
+from ssmr_torch.ranges import Number
 from ssmr_torch.tasks.references import Task
 from ssmr_torch.tasks.symbols import constant_speed
 
 ARC_STEPS = 1440  # straight pieces of the arc; its length is then accurate to 1e-6
 
 
+@checked(radius=Number(1e-6, 100.0, "m"), mouth=Number(0.0, 6.2831, "rad"), duration=Number(1e-2, 1e5, "s"),
+         ramp=Number(0.0, 1e4, "s"), tracked=TRACKED, name=TEXT)
 def pacman(radius: float = 0.020, mouth: float = 1.0471976, duration: float = 10.0, ramp: float = 1.0,
            tracked: Sequence[int | str] = ("tip_x", "tip_y"), name: str = "pacman",
            obstacles: Sequence | None = None) -> Task:

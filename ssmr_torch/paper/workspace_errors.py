@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from ssmr_torch.deployment import artifact
 from ssmr_torch.evaluation.measured_rollouts import JoinedRuns
 from ssmr_torch.evaluation.open_loop import HORIZONS, OpenLoopScore, compare_open_loop
 from ssmr_torch.provenance import provenance
-from ssmr_torch.result_files import save_json
+from ssmr_torch.result_files import save_json, written_aside
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,12 +58,10 @@ def write_open_loop_map(config, path: Path, artifacts: Mapping[str, Path]) -> No
     found = map_open_loop({name: each.model for name, each in loaded.items()}, runs,
                           outputs=dataset.columns(config.outputs), starts=config.starts, seed=config.seed,
                           horizons=list(config.horizons))
-    aside = Path(f"{path}.h5.part")
-    with h5py.File(aside, "w") as file:
+    with written_aside(f"{path}.h5") as aside, h5py.File(aside, "w") as file:
         file["position"] = found.position
         for name, errors in found.errors.items():
             file[f"error/{name}"] = errors
-    os.replace(aside, f"{path}.h5")
     save_json(Path(f"{path}.json"), {
         "scores": {name: score.as_dict() for name, score in found.scores.items()},
         "test": ", ".join(run.name for run in runs), "provenance": provenance(plain(config, without=["artifact"]))})

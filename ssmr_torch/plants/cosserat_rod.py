@@ -6,10 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.extras import require
 from ssmr_torch.periods import whole_multiple
 from ssmr_torch.plants.base import input_range
 from ssmr_torch.plants.flat_state import FlatStatePlant
+from ssmr_torch.quantities import INPUT_BOUNDS, TIMESTEP
+from ssmr_torch.ranges import Number, Whole
 
 GRAVITY = 9.81  # m/s²
 OUTPUTS = ("tip_x", "tip_y", "tip_z", "middle_x", "middle_y", "middle_z")
@@ -35,6 +38,10 @@ class CosseratRod(FlatStatePlant):
     name, input_unit, ENGINE = "Cosserat rod", "N", ("_simulator", "_rod", "_stepper", "_force")
     output_names, input_names = OUTPUTS, ("force_x", "force_y")
 
+    @checked(elements=Whole(2, 1000), length=Number(1e-4, 100.0, "m"), radius=Number(1e-4, 100.0, "m"),
+             density=Number(1e-2, 1e5, "kg/m³"), young=Number(1.0, 1e13, "Pa"), drag=Number(0.0, 1e6),
+             turning_drag=Number(0.0, 1e6), timestep=TIMESTEP, input_bounds=INPUT_BOUNDS,
+             substep=Number(1e-6, 1.0, "s"), gravity=Number(-1e3, 1e3, "m/s²"), payload=Number(0.0, 1e4, "kg"))
     def __init__(self, *, elements: int = 20, length: float = 0.2, radius: float = 0.01, density: float = 1070.0,
                  young: float = 3e5, drag: float = 1.0, turning_drag: float = 0.006, timestep: float = 0.01,
                  substep: float = 2.5e-4, input_bounds: Sequence = (-0.15, 0.15), gravity: float = GRAVITY,

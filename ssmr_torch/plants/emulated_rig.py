@@ -6,10 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.keywords import configurable
 from ssmr_torch.periods import whole_multiple
 from ssmr_torch.plants.base import Plant, PlantSheet, finite_vector
 from ssmr_torch.plants.emulated_friction_and_lag import EmulatedActuators, Forces
+from ssmr_torch.quantities import LENGTH, LIMIT, TEXT
+from ssmr_torch.ranges import Each, Number, OneOf, OrNone
 from ssmr_torch.settings import non_negative
 
 DROPPED = ("held", "missing")
@@ -41,6 +44,9 @@ class Rig(PlantSheet):
     Raises ValueError for settings out of these ranges, and for a plant that is already on a rig.
     """
 
+    @checked(noise_std=LENGTH, sensor_delay=Number(0.0, 10.0, "s"), drop_probability=Number(0.0, 0.999),
+             dropped=OneOf(*DROPPED), actuator_lag=Number(0.0, 100.0, "s"), rate_limit=LIMIT, saturation=LIMIT,
+             cable_friction=Number(0.0, 100.0), outputs=OrNone(Each(TEXT, 0)))
     def __init__(self, plant: Plant, *, noise_std: float = 0.0, sensor_delay: float = 0.0,
                  drop_probability: float = 0.0, dropped: str = "held", actuator_lag: float = 0.0, rate_limit=None,
                  saturation=None, cable_friction: float = 0.0, outputs=None):

@@ -6,8 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.plants.base import input_range
 from ssmr_torch.plants.soromox_robot import SoromoxRobot
+from ssmr_torch.quantities import INPUT_BOUNDS, TIMESTEP
+from ssmr_torch.ranges import Number
 
 # m, from the base to the tip: interface, section, interface, section, interface.
 LENGTHS = (0.041, 0.180, 0.027, 0.180, 0.006)
@@ -39,6 +42,9 @@ class ISupport(SoromoxRobot):
     name, input_unit = "I-SUPPORT", "Pa"
     output_names, input_names = OUTPUTS, INPUTS
 
+    @checked(young=Number(1.0, 1e13, "Pa"), viscosity=Number(1e-3, 1e12, "Pa s"), density=Number(1e-2, 1e5, "kg/m³"),
+             pressure_lag=Number(0.0, 100.0, "s"), timestep=TIMESTEP, input_bounds=INPUT_BOUNDS,
+             substep=Number(1e-6, 1.0, "s"))
     def __init__(self, *, young: float = 1.0766e6, viscosity: float = 8.38e4, density: float = 6471.0,
                  pressure_lag: float = 1 / (2 * np.pi * 2.8), timestep: float = 0.01, substep: float = 0.005,
                  input_bounds: Sequence = (0.0, 2.6e5)):

@@ -6,8 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.plants.base import input_range
 from ssmr_torch.plants.soromox_robot import SoromoxRobot
+from ssmr_torch.quantities import INPUT_BOUNDS, TIMESTEP
+from ssmr_torch.ranges import Number
 
 RODS = 2                  # each stands for a pair of rods, one behind the other, that turn together
 GRAVITY = (0.0, 9.81)     # m/s², y down
@@ -48,6 +51,8 @@ class PlanarHSA(SoromoxRobot):
     name, input_unit = "planar HSA", "rad"
     output_names, input_names = OUTPUTS, ("left_twist", "right_twist")
 
+    @checked(payload=Number(0.0, 1e4, "kg"), timestep=TIMESTEP, input_bounds=INPUT_BOUNDS,
+             substep=Number(1e-6, 1.0, "s"))
     def __init__(self, *, payload: float = 0.5, timestep: float = 0.01, substep: float = 0.001,
                  input_bounds: Sequence = (0.0, 3.4)):
         if not payload >= 0:

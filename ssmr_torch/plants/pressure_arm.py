@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
+from ssmr_torch.checked_arguments import checked
+from ssmr_torch.compiled_functions import compiled
 from ssmr_torch.plants.base import input_range
 from ssmr_torch.plants.flat_state import FlatStatePlant
+from ssmr_torch.quantities import INPUT_BOUNDS, TIMESTEP
+from ssmr_torch.ranges import Number, Whole
 
 GRAVITY = 9.81                       # m/s²
 BELLOWS = 2
@@ -17,7 +20,7 @@ OUTPUTS = ("tip_x", "tip_y", "middle_x", "middle_y")
 INPUTS = ("proximal_difference", "distal_difference")
 
 
-@njit(cache=True)
+@compiled()
 def _acceleration(q, v, pressure, shape, inertia, weight, stiffness, hardening, damping, drag, gain):
     """q̈ of the arcs, rad/s²; see the equation in `PressureArm`."""
     angle, rate = shape @ q, shape @ v
@@ -34,7 +37,7 @@ def _acceleration(q, v, pressure, shape, inertia, weight, stiffness, hardening, 
     return np.linalg.solve(shape.T @ mass @ shape, moment) - drag * v
 
 
-@njit(cache=True)
+@compiled()
 def _flow(state, u, h, substeps, lag, constants):
     """Runge-Kutta of order four for the arcs; the pressure, which is linear and independent, is exact."""
     n = (len(state) - len(u)) // 2
@@ -89,6 +92,11 @@ class PressureArm(FlatStatePlant):
     name, input_unit = "pressure arm", "Pa"
     output_names, input_names = OUTPUTS, INPUTS
 
+    @checked(arcs=Whole(1, 20), length=Number(1e-4, 100.0, "m"), line_density=Number(1e-4, 1e4, "kg/m"),
+             bending_stiffness=Number(1e-8, 1e6, "N m²"), hardening=Number(0.0, 1e6),
+             material_damping=Number(0.0, 1e3, "s"), drag=Number(0.0, 1e6), lever=Number(1e-12, 1.0, "m³"),
+             pressure_lag=Number(0.0, 100.0, "s"), timestep=TIMESTEP, input_bounds=INPUT_BOUNDS,
+             substeps=Whole(1, 10_000), gravity=Number(-1e3, 1e3, "m/s²"))
     def __init__(self, *, arcs: int = 2, length: float = 0.24, line_density: float = 0.5,
                  bending_stiffness: float = 0.0134, hardening: float = 1.0, material_damping: float = 0.03,
                  drag: float = 1.5, lever: float = 1.05e-6, pressure_lag: float = 0.08, timestep: float = 0.02,

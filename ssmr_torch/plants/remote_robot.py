@@ -10,7 +10,10 @@ from time import monotonic
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.plants.base import PlantSheet, finite_vector
+from ssmr_torch.quantities import ADDRESS, PATH, PATIENCE, WAIT
+from ssmr_torch.ranges import OrNone
 from ssmr_torch.settings import non_negative, positive
 from ssmr_torch.wire.limits import legible
 from ssmr_torch.wire.link import ControllerLink
@@ -39,6 +42,8 @@ class RemotePlant(PlantSheet):
     and `step` raise ConnectionError when the robot is gone.
     """
 
+    @checked(bind=ADDRESS, wait=WAIT, deadline=OrNone(WAIT), timeout=PATIENCE, patience=PATIENCE,
+             key_file=OrNone(PATH))
     def __init__(self, bind: str = "tcp://*:5555", wait: float = 60.0, deadline: float | None = None,
                  timeout: float = 0.5, patience: float = 60.0, key_file: str | None = None):
         self.bind, self.deadline, self.key_file = bind, deadline, key_file

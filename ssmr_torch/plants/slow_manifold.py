@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
+from ssmr_torch.checked_arguments import checked
+from ssmr_torch.compiled_functions import compiled
 from ssmr_torch.plants.base import PlantSheet, finite_vector, input_range
+from ssmr_torch.quantities import INPUT_BOUNDS, TIMESTEP
+from ssmr_torch.ranges import Number, OneOf, Whole
 
 SLOW_DIM, FAST_DIM, CABLES = 6, 4, 4
 
@@ -43,7 +46,7 @@ MARKER_NAMES = ("tip_x", "tip_y", "tip_z", "mid_x", "mid_y", "mid_z")
 STATE_NAMES = ("q1", "q2", "q3", "v1", "v2", "v3", "eta1", "eta2", "eta3", "eta4")
 
 
-@njit(cache=True)
+@compiled()
 def _elastic(q1, q2, q3):
     """-∇V(q), with V as in `SlowManifold.energy`."""
     bending = q1 * q1 + q2 * q2
@@ -53,7 +56,7 @@ def _elastic(q1, q2, q3):
             -STIFFNESS[2] * q3 - SHORTENING * bending - AXIAL_HARDENING * q3 ** 3)
 
 
-@njit(cache=True)
+@compiled()
 def _tension(q1, q2, q3, u1, u2, u3, u4):
     """Generalized force of the cables at +x, -x, +y, -y: linear in u, affine in q."""
     arm = CABLE_BENDING + LEVER_ARM * q3
@@ -62,7 +65,7 @@ def _tension(q1, q2, q3, u1, u2, u3, u4):
             LEVER_ARM * ((u1 - u2) * q1 + (u3 - u4) * q2) - CABLE_COMPRESSION * (u1 + u2 + u3 + u4))
 
 
-@njit(cache=True)
+@compiled()
 def _slow_rate(xi, u, rate):
     elastic = _elastic(xi[0], xi[1], xi[2])
     tension = _tension(xi[0], xi[1], xi[2], u[0], u[1], u[2], u[3])
@@ -71,7 +74,7 @@ def _slow_rate(xi, u, rate):
         rate[3 + i] = elastic[i] - DAMPING[i] * xi[3 + i] + tension[i]
 
 
-@njit(cache=True)
+@compiled()
 def _slow_flow(xi, u, duration, substeps):
     """Classical Runge-Kutta of order four over rows of slow states (N, 6), inputs (N, 4) held."""
     h = duration / substeps
@@ -129,6 +132,8 @@ class SlowManifold(PlantSheet):
     input_unit = "N"
     input_names = ("cable_+x", "cable_-x", "cable_+y", "cable_-y")
 
+    @checked(observe=OneOf("markers", "state"), timestep=TIMESTEP, input_bounds=INPUT_BOUNDS,
+             fast_rate_scale=Number(1e-3, 1e4), fast_input_gain=Number(-1e4, 1e4), substeps=Whole(1, 10_000))
     def __init__(self, observe: str = "markers", timestep: float = 0.01, input_bounds: Sequence = (0.0, 1.5),
                  fast_rate_scale: float = 1.0, fast_input_gain: float = 1.0, substeps: int = 8):
         if observe not in ("markers", "state"):

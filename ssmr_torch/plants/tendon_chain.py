@@ -6,10 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.extras import require
 from ssmr_torch.periods import whole_multiple
 from ssmr_torch.plants.base import input_range
 from ssmr_torch.plants.flat_state import FlatStatePlant
+from ssmr_torch.quantities import INPUT_BOUNDS, TIMESTEP
+from ssmr_torch.ranges import Number, Whole
 
 GRAVITY = 9.81  # m/s²
 SIDES = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
@@ -35,6 +38,10 @@ class TendonChain(FlatStatePlant):
     name, input_unit, ENGINE = "tendon chain", "N", ("_model", "_data")
     output_names, input_names = OUTPUTS, tuple(f"tendon_{side}" for side in SIDES)
 
+    @checked(links=Whole(1, 200), length=Number(1e-4, 100.0, "m"), mass=Number(1e-6, 1e4, "kg"),
+             radius=Number(1e-4, 100.0, "m"), stiffness=Number(0.0, 1e6, "N m/rad"),
+             damping=Number(0.0, 1e6, "N m s/rad"), timestep=TIMESTEP, input_bounds=INPUT_BOUNDS,
+             substep=Number(1e-6, 1.0, "s"), gravity=Number(-1e3, 1e3, "m/s²"), payload=Number(0.0, 1e4, "kg"))
     def __init__(self, *, links: int = 12, length: float = 0.192, mass: float = 0.03, radius: float = 0.012,
                  stiffness: float = 0.095, damping: float = 0.006, timestep: float = 0.01, substep: float = 0.001,
                  input_bounds: Sequence = (0.0, 1.2), gravity: float = GRAVITY, payload: float = 0.0):

@@ -7,11 +7,13 @@ from types import MappingProxyType
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.keywords import configurable
 from ssmr_torch.plants.finite_element.cables import Cables
 from ssmr_torch.plants.finite_element.mesh_files import read_mesh
 from ssmr_torch.plants.finite_element.robot import FiniteElementRobot, plain
 from ssmr_torch.plants.finite_element.structure import Mechanics
+from ssmr_torch.quantities import INPUT_BOUNDS, PATH, PLACES, TEXT, TIMESTEP
 
 SILICONE = Mechanics(young=450e3, poisson=0.45, mass=0.042, mass_damping=0.1, stiffness_damping=0.1,
                      gravity=(0.0, 0.0, 9.81))
@@ -33,6 +35,8 @@ class Trunk(FiniteElementRobot):
     """
 
     @configurable(SILICONE)
+    @checked(mesh=PATH, length_unit=TEXT, markers=PLACES, timestep=TIMESTEP, input_bounds=INPUT_BOUNDS, scheme=TEXT,
+             linear_solver=TEXT)
     def __init__(self, mesh: str = "trunk", length_unit: str = "mm", markers: Mapping = MARKERS,
                  input_bounds: Sequence = (0.0, 0.8), timestep: float = 0.01, scheme: str = "backward_euler",
                  linear_solver: str = "block_ldl", **mechanics):

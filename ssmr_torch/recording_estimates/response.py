@@ -27,18 +27,19 @@ class Response(NamedTuple):
     residual: np.ndarray
 
 
-def response(runs: Sequence[Trajectory], modes: Modes, more, delay: int = 0, where=None) -> Response | None:
+def response(runs: Sequence[Trajectory], modes: Modes, more, delay: int = 0, where=None,
+             shortest: float = SHORTEST) -> Response | None:
     """Least squares of y on the inputs, filtered by the slow modes, and on `more`.
 
     Each input is filtered by x' = λ (x − u) for the slow rates λ; products of two inputs as well, if there are enough
     rows. y is linear in Re x and Im x. more(run, number, count) → {name: columns (T, k)} are further regressors.
     where(run) → (T,): the samples that count. Standard errors take the correlation of the residuals into account.
-    delay: number of samples by which inputs act late. Returns None if no run lasts `SHORTEST` times the modes' memory.
+    delay: number of samples by which inputs act late. Returns None if no run lasts `shortest` times the modes' memory.
     """
     memory, fastest = modes.memory, modes.fastest
     if memory is None:
         return None
-    long = [run for run in runs if run.length * run.timestep > SHORTEST * memory]
+    long = [run for run in runs if run.length * run.timestep > shortest * memory]
     if not long:
         return None
     rates = modes.rates[np.argsort(-modes.share)][:MOST_MODES]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from ssmr_torch.recording_clocks.gaps import find_time_gaps
 from ssmr_torch.recording_faults.recording import Recording
 
 CERTAIN = 8.0       # times the gap that 90 % of the rows stay below; sound recordings stay below 5.5 times
@@ -87,7 +88,7 @@ def pieces(recording: Recording) -> list[slice]:
     steps = np.diff(time)
     if not np.isfinite(time).all() or (steps <= 0).any():
         return []  # such a clock is refused later
-    edges = set(np.flatnonzero(steps > 3.5 * np.median(steps)) + 1)
+    edges = set(find_time_gaps(time))
     known = () if isinstance(recording.seams, str) else recording.seams
     edges |= set(np.searchsorted(recording.rows, [*known, *recording.cuts]).tolist())
     edges = sorted({0, len(time), *map(int, edges)})

@@ -17,6 +17,8 @@ logger = logging.getLogger(__name__)
 LENGTH = 16         # number of consecutive samples that must agree
 FINENESS = 1e-7     # numbers that differ by less than this share of the range count as equal
 MOVED = 0.005       # smallest motion as a share of the range, because all samples at rest look alike
+NOISE = 0.7         # of the noise, below which two runs are one measurement
+FEWEST_CHANGES = 4  # changes of the inputs that must agree
 SHARED = 0.02       # share of a run above which it counts as part of another run
 
 
@@ -37,6 +39,45 @@ def shared_rows(run: Trajectory, others: Sequence[Trajectory]) -> tuple[int, str
         if rows > best:
             best, name = rows, other.name
     return best, name
+
+
+def rounded_rows(run: Trajectory, others: Sequence[Trajectory]) -> tuple[int, str]:
+    """Number of samples of a run that another run contains under the same inputs, with outputs that differ by less than
+    their noise, and the name of that run.
+
+    Two measurements of the same motion differ by √2 times their noise; numbers that were only rounded or scaled in
+    writing differ by less. Returns 0 and "" if there are none.
+    """
+    best, name = 0, ""
+    noise = _noise(run)
+    for other in others:
+        shift = _same_inputs(run.input, other.input)
+        if shift is None:
+            continue
+        first, stop = max(0, -shift), min(run.length, other.length - shift)
+        apart = run.observation[first:stop] - other.observation[first + shift:stop + shift]
+        if stop - first > max(LENGTH, best) and (np.sqrt(np.mean(apart ** 2, axis=0)) < NOISE * noise).all():
+            best, name = stop - first, other.name
+    return best, name
+
+
+def _noise(run: Trajectory) -> np.ndarray:
+    """(p,), m, of the fourth differences, whose variance is 70 times that of white noise."""
+    return np.median(np.abs(np.diff(run.observation, 4, axis=0)), axis=0) / 0.6745 / np.sqrt(70) if (
+        run.length > 4) else np.zeros(run.observation.shape[1])
+
+
+def _same_inputs(u: np.ndarray, other: np.ndarray) -> int | None:
+    """By how many rows u must be shifted to equal the other's inputs; None if it nowhere equals them."""
+    changes, theirs = (np.flatnonzero((np.diff(each, axis=0) != 0).any(axis=1)) + 1 for each in (u, other))
+    if len(changes) < FEWEST_CHANGES or len(theirs) < FEWEST_CHANGES:
+        return None
+    places: dict[bytes, int] = {other[row].tobytes(): int(row) for row in theirs}
+    shifts = [places[u[row].tobytes()] - int(row) for row in changes if u[row].tobytes() in places]
+    if len(shifts) < FEWEST_CHANGES:
+        return None
+    values, counts = np.unique(shifts, return_counts=True)
+    return int(values[counts.argmax()]) if counts.max() >= max(FEWEST_CHANGES, 0.5 * len(shifts)) else None
 
 
 def is_copied(run: Trajectory, rows: int) -> bool:
@@ -67,7 +108,7 @@ def without_copies(dataset: TrajectoryDataset, rule: str) -> TrajectoryDataset:
     for run in runs:
         if run.split == "train" or run.kind == "static":
             continue
-        rows, name = shared_rows(run, training)
+        rows, name = max(shared_rows(run, training), rounded_rows(run, training))
         if is_copied(run, rows):
             text = copy_said(run, rows, name)
             if rule != "keep":
@@ -87,7 +128,8 @@ def without_copies(dataset: TrajectoryDataset, rule: str) -> TrajectoryDataset:
 def copy_said(run: Trajectory, rows: int, name: str) -> str:
     """The refusal of a run that shares so many rows with the training run of this name."""
     return (f"{rows} of the {run.length} samples of the {run.split} run {run.name!r} are those of the training run "
-            f"{name!r}, so its score would tell nothing; record another run, or leave these samples out of the training")
+            f"{name!r}, so its score would tell nothing; record another run, or leave these samples out of the "
+            "training")
 
 
 def _marks(table: np.ndarray, outputs: int) -> np.ndarray:

@@ -12,6 +12,7 @@ from ssmr_torch.recording_faults.recording import Recording
 from ssmr_torch.recording_faults.responses import Part, modes_of, parts
 
 CERTAIN = 6.0       # standard errors
+LEVEL, TREND = 2.0, 4.0  # lengths of a part, relative to the memory of the modes, from which either can be told
 MATTERS = 0.06      # of the reach
 
 
@@ -43,17 +44,19 @@ def _fitted(every: list[Part], driven: list[Part]) -> tuple[Response, list[Part]
     modes = modes_of(every)
     if modes.memory is None:
         return None
-    judged = [part for part in driven if part.run.length * part.run.timestep > 4 * modes.memory]
+    judged = [part for part in driven if part.run.length * part.run.timestep > LEVEL * modes.memory]
     count = len(judged)
     if not count or not any(np.ptp(part.run.input, axis=0).any() for part in judged):
         return None
 
     def own(run, number, _):
         constant, slope = np.zeros((run.length, count)), np.zeros((run.length, count))
-        constant[:, number], slope[:, number] = 1.0, np.linspace(-0.5, 0.5, run.length)
+        constant[:, number] = 1.0
+        if run.length * run.timestep > TREND * modes.memory:
+            slope[:, number] = np.linspace(-0.5, 0.5, run.length)
         return {"constant": constant, "slope": slope}
 
-    fit = response([part.run for part in judged], modes, own)
+    fit = response([part.run for part in judged], modes, own, shortest=LEVEL)
     return None if fit is None else (fit, judged)
 
 

@@ -40,7 +40,8 @@ def _held(time, y, inputs, names, reach: float) -> np.ndarray:
     bad = np.zeros(y.shape, dtype=bool)
     found = gaps(time, y)
     repeated = np.vstack([np.zeros(y.shape[1], dtype=bool), np.diff(y, axis=0) == 0])
-    beside = repeated | np.vstack([repeated[1:], repeated[:1] & False]) | np.vstack([repeated[:1] & False, repeated[:-1]])
+    none = np.zeros_like(repeated[:1])
+    beside = repeated | np.vstack([repeated[1:], none]) | np.vstack([none, repeated[:-1]])
     limit = limits(y, np.where(beside, 0.0, found), reach)
     jumped = np.abs(found) > limit
     for columns in markers(y.shape[1], names):

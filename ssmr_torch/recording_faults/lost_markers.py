@@ -17,8 +17,8 @@ OUTSIDE = 0.5       # of the range of the other values, by which it must lie out
 def lost_markers(recording: Recording, rule: str, reach: float) -> Recording:
     """The recording without values that stand for "not seen".
 
-    Such a value is the same in all coordinates of a marker (0, -1, 9999, …), or recurs exactly in one column far outside
-    all others; and it misses the straight line between the rows around it. At rest at zero it does not.
+    Such a value is the same in all coordinates of a marker (0, -1, 9999, …), or recurs exactly in one column far
+    outside all others; and it misses the straight line between the rows around it. At rest at zero it does not.
     """
     y = recording.observation
     bad = np.zeros(y.shape, dtype=bool)
@@ -32,10 +32,9 @@ def lost_markers(recording: Recording, rule: str, reach: float) -> Recording:
         return recording
     row, column = np.argwhere(bad)[0]
     names = recording.columns(bad.any(axis=0))
-    raw = float(f"{y[row, column]:.6g}")
-    return treated(recording, bad, "lost_markers", rule,
-                   f"{names or 'the position'} {'is' if ' and ' not in names else 'are'} {raw:g} m exactly, a value for "
-                   "'not seen',")
+    verb = "are" if " and " in names else "is"
+    return treated(recording, bad, "lost_markers", rule, f"{names or 'the position'} {verb} {y[row, column]:.6g} m "
+                   "exactly, a value for 'not seen',")
 
 
 def _missing_the_line(time, y, same: np.ndarray, reach: float) -> np.ndarray:
@@ -62,7 +61,8 @@ def _far_and_equal(y: np.ndarray, reach: float) -> np.ndarray:
         if len(others) < 3:
             continue
         span = max(extent(others[:, None]), MATTERS * reach)
+        beyond = OUTSIDE * span + 5 * MATTERS * reach
         low, high = np.quantile(others, (0.01, 0.99))
-        if not low - OUTSIDE * span - 5 * MATTERS * reach <= values[which] <= high + OUTSIDE * span + 5 * MATTERS * reach:
+        if not low - beyond <= values[which] <= high + beyond:
             bad |= place == which
     return bad

@@ -11,6 +11,7 @@ from ssmr_torch.recording_faults.continuity import usual_reach
 from ssmr_torch.recording_faults.drift import drift
 from ssmr_torch.recording_faults.exchanged_markers import exchanged_markers, exchanged_runs
 from ssmr_torch.recording_faults.held_values import held_values
+from ssmr_torch.recording_faults.input_spikes import input_spikes
 from ssmr_torch.recording_faults.lost_markers import lost_markers
 from ssmr_torch.recording_faults.missing_rows import missing_rows
 from ssmr_torch.recording_faults.outliers import outliers
@@ -29,8 +30,8 @@ def mended(recordings: Sequence[Recording], rules: FaultRules = RULES, missing: 
     """The recordings with the faults mended that each shows by itself; what was found and done stands in their `notes`.
 
     In this order: empty rows (by the rule `missing`), rows never written, lost markers, a slow camera, held values,
-    exchanged markers, outliers. Sound recordings are returned unchanged. Rows with empty cells are left alone under
-    missing="refuse", and such recordings are not judged, because they are refused later.
+    exchanged markers, outliers and jumps, input spikes. Sound recordings are returned unchanged. Under
+    missing="refuse", recordings with empty cells are left as they are, because they are refused later.
     Raises ValueError, with the remedy, for recordings that a rule refuses.
     """
     found = [missing_rows(each, missing) for each in recordings]
@@ -46,7 +47,7 @@ def mended(recordings: Sequence[Recording], rules: FaultRules = RULES, missing: 
     if judged:
         usual = np.median([np.median(each.observation, axis=0) for each in judged], axis=0)
         judged = [exchanged_markers(each, rules.exchanged_markers, reach, usual) for each in judged]
-    judged = [outliers(each, rules.outliers, reach) for each in judged]
+    judged = [input_spikes(outliers(each, rules.outliers, reach), rules.outliers) for each in judged]
     mending = iter(judged)
     return [next(mending) if whole else each for each, whole in zip(found, sound)]
 

@@ -31,7 +31,7 @@ def moving_decays(recordings: Sequence[Recording], input_names: Sequence[str], r
         worst = int(np.nanargmax(moved))
         said = f"is a decay, but its input {input_names[worst]} changes by {moved[worst]:.3g}"
         if rule != "keep":
-            raise ValueError(f"{each.name} {said}; list it under controlled, or cut it to where the robot is let go (in "
-                             "a card: leave it out of decays)")
+            raise ValueError(f"{each.name} {said}; list it under controlled, or cut it to where the robot is let go "
+                             "(in a card: leave it out of decays)")
         found.append(each.noted("moving_decays", f"{said}; kept, as faults.moving_decays says", "kept"))
     return found

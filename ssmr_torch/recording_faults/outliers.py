@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ssmr_torch.recording_faults.continuity import FEWEST, gaps, limits, pieces
 from ssmr_torch.recording_faults.recording import Recording
 from ssmr_torch.recording_faults.treatment import BRIDGED, treated
+from ssmr_torch.recording_files.note import rows_said
 
 ALIKE = 0.2         # share by which the jumps into and out of a long stretch may differ
 LONGEST = 0.25      # of the rows of a run that such a stretch may have
 AWAY = 0.3          # of the deviation, that the gap across a stretch may have
 NEAR = 6            # rows between two jumps of one stretch of disorder
 DISORDER = 4        # jumps that make one
+LASTING, LASTS = 2.0, 0.05  # times the limit of a jump, and of the reach, from which one without return is cut
 
 
 def outliers(recording: Recording, rule: str, reach: float) -> Recording:
     """The recording with rows bridged or cut that leave the motion and return to it.
 
     Three kinds are found, from the jumps of `continuity.gaps`: up to five rows across which the motion before and after
-    meets; longer stretches with equal jumps at both ends; and disorder, many jumps close together. A single jump
-    without return is no outlier but may be a seam.
+    meets; longer stretches with equal jumps at both ends; and disorder, many jumps close together. At a single jump
+    without return, of 5 % of the reach or more, the run is cut: another one was joined, or the camera was moved.
     """
-    bad = np.zeros(recording.observation.shape, dtype=bool)
+    bad, lasting = np.zeros(recording.observation.shape, dtype=bool), {}
     for piece in pieces(recording):
-        bad[piece] = _left(recording.time[piece], recording.observation[piece], reach)
+        bad[piece], jumps = _left(recording.time[piece], recording.observation[piece], reach)
+        lasting |= {int(recording.rows[piece.start + row]): size for row, size in jumps.items()}
+    if lasting and rule != "keep" and recording.seams == "auto":
+        recording = _cut(recording, lasting, rule)
     if not bad.any():
         return recording
     farthest = _farthest(recording, bad)
@@ -32,12 +39,22 @@ def outliers(recording: Recording, rule: str, reach: float) -> Recording:
                    f"the position leaves the motion around it by up to {1e3 * farthest:.3g} mm")
 
 
-def _left(time: np.ndarray, y: np.ndarray, reach: float) -> np.ndarray:
-    """(T, p), which values left the motion."""
+def _cut(recording: Recording, lasting: dict[int, float], rule: str) -> Recording:
+    """The recording cut where it jumps for good."""
+    rows, largest = sorted(lasting), 1e3 * max(lasting.values())
+    text = f"the position jumps by {largest:.3g} mm before {rows_said(rows)} and does not return"
+    if rule == "refuse":
+        raise ValueError(f"{recording.name}: {text}; cut the file there, or set faults.outliers: bridge")
+    return replace(recording, cuts=tuple(sorted({*recording.cuts, *rows}))).noted(
+        "jumps", f"{text}; the run is cut there (seams: {{{recording.name}: []}} keeps it whole)", "cut", rows)
+
+
+def _left(time: np.ndarray, y: np.ndarray, reach: float) -> tuple[np.ndarray, dict[int, float]]:
+    """(T, p), which values left the motion, and the sizes of jumps without return by row."""
     found = gaps(time, y)
     limit = limits(y, found, reach)
     jumps = np.flatnonzero((np.abs(found) > limit).any(axis=1))
-    bad = _ends(time, y, limit)
+    bad, lasting = _ends(time, y, limit), {}
     place = 0
     while place < len(jumps):
         first = jumps[place]
@@ -47,8 +64,11 @@ def _left(time: np.ndarray, y: np.ndarray, reach: float) -> np.ndarray:
             bad[first:stop] |= columns
             place = int(np.searchsorted(jumps, stop, side="right"))
             continue
+        size = float(np.linalg.norm(found[first]))
+        if (np.abs(found[first]) > LASTING * limit[first]).any() and size > LASTS * reach:
+            lasting[int(first)] = size
         place += 1
-    return bad
+    return bad, lasting
 
 
 def _return(time, y, found, limit, first: int, later: np.ndarray) -> int | None:
@@ -116,5 +136,6 @@ def _farthest(recording: Recording, bad: np.ndarray) -> float:
     for column in np.flatnonzero(bad.any(axis=0)):
         good, off = np.flatnonzero(~bad[:, column]), np.flatnonzero(bad[:, column])
         near = good[np.clip(np.searchsorted(good, off), 0, len(good) - 1)] if len(good) else off
-        worst = max(worst, float(np.abs(recording.observation[off, column] - recording.observation[near, column]).max()))
+        y = recording.observation[:, column]
+        worst = max(worst, float(np.abs(y[off] - y[near]).max()))
     return worst

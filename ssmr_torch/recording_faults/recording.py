@@ -65,8 +65,8 @@ class Recording:
             raise ValueError(f"{self.name}: {len(kept)} of {len(self.rows)} rows are left; leave the run out")
         after, last = self.rows[kept[1:][np.diff(kept) > 1]], self.rows[kept[-1]]
         seams = self.seams if self.seams == "auto" else tuple(row for row in self.seams if row <= last)
-        return replace(self, seams=seams, time=self.time[kept], observation=self.observation[kept], input=self.input[kept],
-                       rows=self.rows[kept], cuts=tuple(sorted({*self.cuts, *after.tolist()})))
+        return replace(self, seams=seams, time=self.time[kept], observation=self.observation[kept],
+                       input=self.input[kept], rows=self.rows[kept], cuts=tuple(sorted({*self.cuts, *after.tolist()})))
 
     def columns(self, which: np.ndarray) -> str:
         """Names of the columns where `which` (p,) is true, as "x and z"; "" for all of them."""

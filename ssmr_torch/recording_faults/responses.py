@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ssmr_torch.recording_clocks.gaps import find_time_gaps
 from ssmr_torch.recording_estimates.modes import Modes, slow_modes
 from ssmr_torch.recording_faults.recording import Recording
 from ssmr_torch.trajectory import Trajectory
@@ -31,8 +32,7 @@ def parts(recordings: Sequence[Recording], rest: np.ndarray) -> list[Part]:
         if not len(steps) or not np.isfinite(each.observation).all() or not (steps > 0).all():
             continue
         known = () if isinstance(each.seams, str) else each.seams
-        gaps = np.flatnonzero(steps > 3.5 * np.median(steps)) + 1
-        edges = sorted({0, len(each.time), *gaps.tolist(),
+        edges = sorted({0, len(each.time), *find_time_gaps(each.time).tolist(),
                         *np.searchsorted(each.rows, [*known, *each.cuts]).tolist()})
         moved = each.observation - (0.0 if each.centred else rest)
         for first, stop in zip(edges, edges[1:]):

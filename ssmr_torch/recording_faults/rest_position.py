@@ -66,6 +66,8 @@ def refuse_wrong_rest(recordings: Sequence[Recording], rest: np.ndarray, rule: s
         if len(group):
             said |= _away([decays[place] for place in group], Ends(*(each[group] for each in ends)), rest, rule, scale,
                           unit)
+    if not len(settled):
+        said |= _unsettled([each for each in decays if each.centred], ends.at[[each.centred for each in decays]])
     return [each.noted("rest_position", said[each.name], "kept") if each.name in said else each for each in recordings]
 
 
@@ -79,9 +81,22 @@ def _moving(decays: list[Recording], ends: Ends, rule: str) -> dict[str, str]:
                 "gives no rest position; record until the robot rests, or give rest as a vector")
     if np.median(share) > MOVING and rule != "keep":
         raise ValueError(f"{decays[worst].name}: {sentence}")
-    return {each.name: f"still moves at its end, with {1e3 * speed:.3g} mm/s over its last fifth, so it gives a poor rest "
-                       "position; record longer, or give rest as a vector"
+    return {each.name: f"still moves at its end, with {1e3 * speed:.3g} mm/s over its last fifth, so it gives a poor "
+                       "rest position; record longer, or give rest as a vector"
             for each, part, speed in zip(decays, share, ends.speeds) if part > SETTLED * 1.5}
+
+
+def _unsettled(decays: list[Recording], at: np.ndarray) -> dict[str, str]:
+    """A note on the first of the decays that were centred before they came to rest, if they end away from zero."""
+    if not decays:
+        return {}
+    away = float(np.linalg.norm(np.median(at, axis=0)))
+    extent = max(float(np.linalg.norm(np.ptp(each.observation, axis=0))) for each in decays)
+    if away <= FAR * extent:
+        return {}
+    return {decays[0].name: f"it and the other decays still move at their end, {1e3 * away:.3g} mm from zero in the "
+                            "median, and y is the displacement from rest: record them longer, or subtract where the "
+                            "robot rests"}
 
 
 def _away(decays: list[Recording], ends: Ends, rest: np.ndarray, rule: str, scale: float, unit: str) -> dict[str, str]:
@@ -98,8 +113,8 @@ def _away(decays: list[Recording], ends: Ends, rest: np.ndarray, rule: str, scal
         said |= {each.name: f"it and the other decays{text}" for each in decays[:1]}
     for each, distance, end in zip(decays, apart, ends.at):
         if len(decays) > 2 and distance > max(ELSEWHERE * usual, APART * extent):
-            text = (f"it ends {_parts(each, end - middle)} from where the other decays end; check this run, or leave it "
-                    "out")
+            text = (f"it ends {_parts(each, end - middle)} from where the other decays end; check this run, or leave "
+                    "it out")
             if rule != "keep" and (apart > ELSEWHERE * usual).sum() <= max(1, len(decays) // 4) and (
                     distance > ASTRAY * extent):
                 raise ValueError(f"{each.name}: {text}, or set faults.rest_position: keep")
@@ -111,9 +126,9 @@ def _far(decay: Recording, middle: np.ndarray, extent: float, rest: np.ndarray, 
     where = ((middle if decay.centred else middle + rest) / scale).round(5).tolist()
     if decay.centred:
         return (f" end {1e3 * np.linalg.norm(middle):.3g} mm from zero, in the median at "
-                f"{np.round(1e3 * middle, 2).tolist()} mm, and move by {1e3 * extent:.3g} mm; y is the displacement from "
-                f"rest: subtract the rest position, {where} {unit} where the decays end at rest, or do not call them "
-                "centred")
+                f"{np.round(1e3 * middle, 2).tolist()} mm, and move by {1e3 * extent:.3g} mm; y is the displacement "
+                f"from rest: subtract the rest position, {where} {unit} where the decays end at rest, or do not call "
+                "them centred")
     return (f" end {_parts(decay, middle)} from the rest position and move by {1e3 * extent:.3g} mm; rest should be "
             f"{where} {unit}, where they end")
 

@@ -14,8 +14,6 @@ BRIDGED = 5         # rows in a row that are filled from the motion around them
 AROUND = 6          # rows on either side that the filling is taken from
 FEWEST = 2          # of them that must be there on each side
 SHOWN = 24          # rows on either side of the first bad one that are kept for the picture
-DONE = {"cut": "these rows are cut out", "bridged": "they are filled from the motion around them",
-        "kept": "they are kept"}
 
 
 def treated(recording: Recording, bad: np.ndarray, fault: str, rule: str, what: str) -> Recording:

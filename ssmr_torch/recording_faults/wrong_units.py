@@ -41,8 +41,8 @@ def dead_columns(recordings: Sequence[Recording], rule: str) -> list[Recording]:
         _said(f"{each.name}: {text}", "dead_columns", rule)
         found.append(each.noted("dead_columns", f"{text}; kept, as faults.dead_columns says", "kept"))
     if not anywhere.all() and anywhere.any() and found:
-        found[0] = found[0].noted("dead_columns", f"{recordings[0].columns(~anywhere)} never moves in any run; kept, as "
-                                  "faults.dead_columns says", "kept")
+        found[0] = found[0].noted("dead_columns", f"{recordings[0].columns(~anywhere)} never moves in any run; kept, "
+                                  "as faults.dead_columns says", "kept")
     return found
 
 
@@ -82,8 +82,8 @@ def _astray(recordings: Sequence[Recording], rest: np.ndarray) -> dict[str, str]
     common = np.median(middles, axis=0)
     away = np.linalg.norm(middles - common, axis=1)
     own = np.array([extent(y) for y in moved])
-    return {each.name: f"it lies {1e3 * distance:.3g} mm from the others, which move by {1e3 * reach:.3g} mm: is the file "
-                       "in another unit, or not measured from where the others are (rest, centred)?"
+    return {each.name: f"it lies {1e3 * distance:.3g} mm from the others, which move by {1e3 * reach:.3g} mm: is the "
+                       "file in another unit, or not measured from where the others are (rest, centred)?"
             for each, distance, size in zip(recordings, away, own)
             if distance > ASTRAY * max(reach, size) and reach > 0}
 

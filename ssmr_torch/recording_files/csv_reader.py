@@ -83,8 +83,7 @@ def _header(rows: list[str], delimiter: str, decimal: str, file: str) -> tuple[i
     """Lines above the names, the names, the cells of the row of units (none: []), and the first row of samples."""
     cells = [split_row(row, delimiter) for row in rows[:SAMPLE]]
     # The unit "1" is a number, but a row of units holds others as well.
-    counted = [any(is_number(cell, decimal) for cell in row)
-               and (not says_units(row) or all(is_number(cell, decimal) for cell in row)) for row in cells]
+    counted = [any(is_number(cell, decimal) for cell in row) and not says_units(row) for row in cells]
     width = _width([row for row, has in zip(cells, counted) if has])
     first = next((k for k in range(len(cells)) if counted[k] and all(counted[k:k + 3]) and len(cells[k]) == width),
                  next((k for k in range(1, len(cells)) if counted[k]), min(len(cells), 1)))

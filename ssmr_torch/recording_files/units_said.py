@@ -22,12 +22,13 @@ SPELT = {
     "m/s": ("m/s",), "mm/s": ("mm/s",), "m/s²": ("m/s^2", "m/s2", "m/s²"), "rad/s": ("rad/s",), "1/s": ("1/s",),
 }
 CASED = {"mN": ("mN", "millinewton", "millinewtons"), "Nm": ("Nm", "N·m", "N*m"), "Nmm": ("Nmm", "N·mm", "N.mm"),
-         "MPa": ("MPa",), "1": ("1", "-", "–", "none", "normalized")}  # where the case counts
+         "MPa": ("MPa",), "1": ("1", "normalized")}  # where the case counts
 NAMES = {spelling: unit for table in (SPELT, CASED) for unit, spellings in table.items() for spelling in spellings}
 DIMENSIONS = {"length": ("m", "cm", "mm", "um", "in", "ft"), "force": ("N", "mN", "kN", "lbf"),
               "time": ("s", "ms", "us", "ns", "min")}
 IN_NAME = re.compile(r"^(?P<name>.*?\S)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\)|\{(?P<curly>[^{}]*)\})$")
 SINCE = re.compile(r"^(\w+) since .*$")
+BLANK = ("", "-", "–", "none", "n/a")  # what stands in a row of units where there is none
 BRACKETS = str.maketrans("", "", "[](){}<>")
 
 
@@ -52,9 +53,9 @@ def units_in_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def says_units(cells: Iterable[str]) -> bool:
-    """Whether every cell that is not blank is a unit."""
-    said = [cell for cell in cells if cell.strip()]
-    return bool(said) and all(unit_called(cell) is not None for cell in said)
+    """Whether every cell that is not blank is a unit, and one at least is another than "1"."""
+    said = {unit_called(cell) for cell in cells if cell.strip().translate(BRACKETS).lower() not in BLANK}
+    return None not in said and bool(said - {"1"})
 
 
 def dimension(unit: str) -> str | None:

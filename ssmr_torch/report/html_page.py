@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -16,6 +15,7 @@ from markupsafe import Markup
 
 from ssmr_torch import __version__
 from ssmr_torch.evaluation import figures
+from ssmr_torch.result_files import save_text
 
 TEMPLATE = "html_page.jinja"
 FILE_NAME = "report.html"
@@ -129,12 +129,7 @@ def write_report(directory: str | Path, title: str, sections: Sequence[Section],
               "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")}
     page = environment.get_template(TEMPLATE).render(title=title, sections=_numbered(sections),
                                                      provenance=footer)
-    path = Path(directory) / FILE_NAME
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(path.name + ".part")
-    aside.write_text(page, encoding="utf-8")
-    os.replace(aside, path)
-    return path
+    return save_text(Path(directory) / FILE_NAME, page)
 
 
 def _numbered(sections: Sequence[Section]) -> list[dict]:

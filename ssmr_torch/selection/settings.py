@@ -5,12 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from ssmr_torch.checked_arguments import checked
+from ssmr_torch.quantities import LENGTH, TEXT, TRUTH
+from ssmr_torch.ranges import Anything, ByName, Each, Either, Number, OneOf, OrNone, Whole
 from ssmr_torch.settings import Settings, non_negative, whole
 
 PURPOSES = ("prediction", "control")
 SYMMETRIES = ("find", "none")  # or a symmetry as a mapping
 
 
+@checked(purpose=OneOf(*PURPOSES), scored=OrNone(Either(TEXT, Each(TEXT), said="a list of names of outputs")),
+         noise=LENGTH, coordinates=OrNone(Either(TEXT, Each(TEXT), said="a list of names of coordinates")),
+         team=Whole(1, 100), refine=TRUTH,
+         symmetry=Either(OneOf(*SYMMETRIES), ByName(Anything()), said="find, none or a mapping"),
+         minutes=Number(0.0, 1e5, "min"))
 @dataclass(frozen=True)
 class SelectionSettings(Settings):
     """Settings of the selection of a slow-fast model; `changed(name=value)` gives others.

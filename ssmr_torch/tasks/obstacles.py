@@ -8,9 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
+from ssmr_torch.quantities import LENGTH, SEED
+from ssmr_torch.ranges import Each, Either, Function, Number, Whole
 from ssmr_torch.tasks.curves import Drift, refuse_nameless
 
 
+@checked(center=Either(Each(Number(-1e3, 1e3, "m"), 2, 2), Function()), radius=Number(1e-9, 1e3, "m"))
 @dataclass(frozen=True, eq=False)
 class Circle:
     """‖y − c(t)‖ ≥ radius, in the plane of the first two tracked outputs (a cylinder where a third is tracked).
@@ -85,6 +89,8 @@ def drifting(center, velocity) -> Callable[[np.ndarray], np.ndarray]:
     return Drift(center, velocity)
 
 
+@checked(seed=SEED, count=Whole(0, 1000), reach=Number(1e-6, 100.0, "m"),
+         diameters=Each(Number(1e-6, 100.0, "m"), 2, 2), free=LENGTH, gap=LENGTH)
 def random_circles(seed: int, count: int = 20, reach: float = 0.030, diameters: tuple[float, float] = (0.008, 0.012),
                    free: float = 0.010, gap: float = 0.003) -> tuple[Circle, ...]:
     """Random circles: centers uniform in ±reach, not within `free` of the origin, `gap` apart (paper, ETH task).

@@ -9,7 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssmr_torch import data_sheet as sheet
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data_sheet import DataSheet
+from ssmr_torch.quantities import TEXT, TRACKED
+from ssmr_torch.ranges import Number, Whole
 from ssmr_torch.tasks.curves import CirclePath, EightPath, Polyline, RampedPhase, RosePath, refuse_nameless
 from ssmr_torch.tasks.obstacles import Circle, HalfPlane
 
@@ -95,6 +98,8 @@ class Task(DataSheet):
         return tuple(columns)
 
 
+@checked(amplitude=Number(1e-6, 100.0, "m"), angular_speed=Number(1e-4, 1e4, "rad/s"), laps=Number(1e-3, 1e5),
+         ramp=Number(0.0, 1e4, "s"), tracked=TRACKED, name=TEXT)
 def figure_eight(amplitude: float = 0.015, angular_speed: float = 4.0, laps: float = 6.0, ramp: float = 1.0,
                  tracked: Sequence[int | str] = (0, 1), name: str = "figure eight",
                  obstacles: Sequence | None = None) -> Task:
@@ -107,6 +112,8 @@ def figure_eight(amplitude: float = 0.015, angular_speed: float = 4.0, laps: flo
     return Task(name, duration, tuple(tracked), EightPath(amplitude, phase), obstacles)
 
 
+@checked(amplitude=Number(1e-6, 100.0, "m"), angular_speed=Number(1e-4, 1e4, "rad/s"), laps=Number(1e-3, 1e5),
+         ramp=Number(0.0, 1e4, "s"), tracked=TRACKED, name=TEXT)
 def circle(amplitude: float = 0.010, angular_speed: float = 4.0, laps: float = 6.0, ramp: float = 1.0,
            tracked: Sequence[int | str] = (1, 2), name: str = "circle",
            obstacles: Sequence | None = None) -> Task:
@@ -117,6 +124,8 @@ def circle(amplitude: float = 0.010, angular_speed: float = 4.0, laps: float = 6
     return Task(name, duration, tuple(tracked), CirclePath(amplitude, phase), obstacles)
 
 
+@checked(amplitude=Number(1e-6, 100.0, "m"), petals=Whole(1, 99), angular_speed=Number(1e-4, 1e4, "rad/s"),
+         laps=Number(1e-3, 1e5), ramp=Number(0.0, 1e4, "s"), tracked=TRACKED, name=TEXT)
 def rose(amplitude: float = 0.015, petals: int = 3, angular_speed: float = 2.0, laps: float = 2.0, ramp: float = 5.0,
          tracked: Sequence[int | str] = (0, 1), name: str = "rose",
          obstacles: Sequence | None = None) -> Task:

@@ -9,11 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.extras import require
+from ssmr_torch.quantities import PATH, TEXT, TRACKED
+from ssmr_torch.ranges import Number, OrNone, Text
 from ssmr_torch.tasks.curves import Polyline
 from ssmr_torch.tasks.references import Task, ramped_phase
 
 
+@checked(text=Text("a text to draw (quote a number)", 100), half_size=Number(1e-6, 100.0, "m"),
+         duration=Number(1e-2, 1e5, "s"), font=OrNone(PATH), ramp=Number(0.0, 1e4, "s"), tracked=TRACKED,
+         name=OrNone(TEXT))
 def symbol(text: str = "S", half_size: float = 0.020, duration: float = 10.0, ramp: float = 1.0,
            tracked: Sequence[int | str] = ("tip_x", "tip_y"), font: str | None = None,
            name: str | None = None, obstacles: Sequence | None = None) -> Task:

@@ -26,4 +26,4 @@ class Notices:
         if number < self.first:
             self.log.log(level, "%s", text)
         elif number == self.first or set(str(number)[1:]) == {"0"} and str(number)[0] == "1":
-            self.log.log(level, "%s (number %d; of more, only each is logged whose number is a power of ten)", text, number)
+            self.log.log(level, "%s (number %d; of more, only those with a power of ten are logged)", text, number)

@@ -11,10 +11,13 @@ from time import monotonic
 
 import numpy as np
 
+from ssmr_torch.checked_arguments import checked
+from ssmr_torch.quantities import PATIENCE, TRUTH, VECTOR
+from ssmr_torch.ranges import Number
 from ssmr_torch.wire.limits import LARGEST_BODY, legible
 from ssmr_torch.wire.messages import Code, Kind, Malformed, Message, RobotDescription, read_start, unpack
 from ssmr_torch.wire.notices import Notices
-from ssmr_torch.wire.stopping import ended_in_order
+from ssmr_torch.wire.stopping import ended_by_signals
 
 log = logging.getLogger(__name__)
 
@@ -45,6 +48,7 @@ class RobotEnd:
     Raises ValueError for settings out of range, and for a description that does not fit into a HELLO.
     """
 
+    @checked(real_time=TRUTH, timeout=PATIENCE, patience=PATIENCE, answer_within=Number(1e-3, 1.0), safe_input=VECTOR)
     def __init__(self, plant, link, *, real_time: bool = False, timeout: float = 0.2, patience: float = 60.0,
                  answer_within: float = 0.5, safe_input=None, clock: Callable[[], float] = monotonic):
         if not (0 < timeout < np.inf and 0 < patience < np.inf and 0 < answer_within <= 1):
@@ -77,7 +81,7 @@ class RobotEnd:
         Raises TimeoutError when no controller came, and ConnectionError, with the reason, when one refused this robot.
         At the end, also after an error, the safe input is applied and the controller is informed.
         """
-        with ended_in_order():
+        with ended_by_signals():
             try:
                 self._drive(runs, wait)
             finally:

@@ -23,6 +23,7 @@ from ssmr_torch.defaults_of_signatures import keyword_defaults
 from ssmr_torch.deployment import artifact
 from ssmr_torch.extras import remedy
 from ssmr_torch.lazy import found
+from ssmr_torch.quiet_libraries import print_anything
 from ssmr_torch.settings import non_negative
 from ssmr_torch.targets import build
 
@@ -86,6 +87,7 @@ def prepare(loaded: artifact.Artifact, build: Callable) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line. Returns the exit status; wrong input ends with one message."""
+    print_anything()
     options = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     if options.print_settings:
@@ -134,7 +136,7 @@ def _settings(path: str | None) -> dict:
     if path is None:
         return {}
     try:
-        settings = json.loads(Path(path).read_text())
+        settings = json.loads(Path(path).read_text(encoding="utf-8"))
     except json.JSONDecodeError as error:
         raise ValueError(f"{path} is not JSON ({error}); --print-settings shows what is expected") from error
     if not isinstance(settings, dict) or not settings or not settings.keys() <= DEFAULT.keys():

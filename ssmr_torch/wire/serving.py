@@ -6,7 +6,7 @@ from collections.abc import Callable
 from time import monotonic
 
 from ssmr_torch.wire.controller_end import ControllerEnd
-from ssmr_torch.wire.stopping import ended_in_order
+from ssmr_torch.wire.stopping import ended_by_signals
 
 # Longest single wait, s; interrupts are handled in between.
 LONGEST_WAIT = 0.1
@@ -23,7 +23,7 @@ def serve(link, end: ControllerEnd, *, runs: int | None = None, done: Callable[[
     its safe input.
     """
     finished, link.counts = 0, end.counts
-    with ended_in_order():
+    with ended_by_signals():
         try:
             while (runs is None or end.finished < runs) and not stop():
                 answer(link, end, clock)

@@ -12,7 +12,7 @@ DEADLY = tuple(number for name in ("SIGTERM", "SIGHUP") if (number := getattr(si
 
 
 @contextmanager
-def ended_in_order() -> Iterator[None]:
+def ended_by_signals() -> Iterator[None]:
     """While it lasts, SIGTERM and SIGHUP raise SystemExit(128 + number), and SIGINT raises KeyboardInterrupt, once.
 
     Further ones are ignored, so that they do not interrupt the goodbye. A signal with a handler of somebody else keeps

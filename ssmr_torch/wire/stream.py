@@ -44,7 +44,7 @@ class MeasurementStream:
     def __init__(self, outputs: int, timestep: float, patience: int, counts: Counter):
         self.outputs, self.timestep, self.patience, self.counts = outputs, timestep, patience, counts
         self.next = self.shift = 0
-        self._newest, self._stamp = -1, 0.0
+        self._newest, self._stamp, self._first_stamp = -1, 0.0, np.inf  # the last: of sample 0, by all later ones
         self._missed: deque[int] = deque(maxlen=REMEMBERED)
         self._earliest: float | None = None  # s, of arrival minus nominal time
         self._arrived = 0.0
@@ -90,6 +90,8 @@ class MeasurementStream:
         if not np.isfinite(observation).all():
             self.counts["not_finite"] += 1
             observation = np.full(self.outputs, np.nan)
+        crept = self._first_stamp + DRIFT * self.timestep * (number - self._newest)
+        self._first_stamp = min(crept, message.time - self.timestep * (number + self.shift))
         self._newest, self._stamp, self.next = number, message.time, number + self.shift + 1
         self._late_since = None
         if now is not None:
@@ -131,10 +133,10 @@ class MeasurementStream:
         if not self.begun or message.time <= self._stamp:
             return 0
         most = self.next - message.sequence - self.shift
-        elapsed = min((message.time - self._stamp) / self.timestep, 1e12)
-        stood_still = round(elapsed) - (message.sequence - self._newest)
-        if stood_still > 0:
-            return min(stood_still, most)
+        # Robots that skip numbers are late by less than a timestep.
+        stood_still = (message.time - self._first_stamp) / self.timestep - (message.sequence + self.shift)
+        if stood_still + DRIFT >= 1.0:
+            return int(min(stood_still + DRIFT, most))
         # Stamps that are made of the numbers show no pause. Then two late ones in a row do, if they came apart.
         if self._late_since is None or now is None:
             return 0

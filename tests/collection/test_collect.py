@@ -133,12 +133,13 @@ def test_static_set_points_are_held_one_after_the_other_to_the_end_of_the_last()
     np.testing.assert_allclose(run.input[::40], 1.5 * np.array(points.levels))
     with pytest.raises(ValueError, match="SmoothRandom has no end of its own; give the run a duration"):
         ControlledRun("endless", SmoothRandom())
+    with pytest.raises(ValueError, match="split is 'holdout'; expected one of train, validation, test"):
+        ControlledRun("x", SmoothRandom(), 1.0, split="holdout")
 
 
 @pytest.mark.parametrize("changes", [
     {"controlled": (RUNS[0], RUNS[0])}, {"decays": -1}, {"test_decays": -2}, {"release": SmoothRandom()},
     {"decays": [RandomOnOffRamp(), SmoothRandom()]}, {"decay_duration": 0.0}, {"noise_std": -1.0},
-    {"controlled": (ControlledRun("x", SmoothRandom(), 1.0, split="holdout"),)},
     {"controlled": (ControlledRun("x", Ramp((0.5, 0.2)), 1.0),)}, {"controlled": (ControlledRun("x", Ramp([0]), 1.0),)},
     {"decay_duration": 0.014}])
 def test_an_impossible_plan_is_refused_before_the_plant_moves(changes):

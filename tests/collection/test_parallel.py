@@ -252,7 +252,7 @@ def test_what_cannot_be_handed_over_or_told_apart_is_refused_before_the_plant_mo
     with pytest.raises(ValueError, match="UnknownPlant has no `parameters`"):
         small(unknown, directory=tmp_path)
     for workers in (0, -1, 1.5, "many"):
-        with pytest.raises(ValueError, match="workers is .*expected a whole number, 1 or more"):
+        with pytest.raises(ValueError, match="workers is .*; expected a whole number from 1 to 1024"):
             small(plant, workers=workers)
     plant.gain = np.eye(2)
     with pytest.raises(ValueError, match="the settings of FragilePlant.*are not plain values"):

@@ -216,7 +216,7 @@ def test_a_filter_that_has_diverged_restarts_from_the_chart(trial, extended, spo
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"disturbance": "state"}, "expected one of"), ({"process_noise": 0.0}, "expected positive numbers")])
+    ({"disturbance": "state"}, "expected one of"), ({"process_noise": 0.0}, "process_noise is 0.0")])
 def test_impossible_settings_of_an_observer_are_refused(trial, options, message):
     with pytest.raises(ValueError, match=message):
         KalmanObserver(trial.oscillators(), np.full(4, 0.6), **options)

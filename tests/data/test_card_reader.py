@@ -67,7 +67,7 @@ def test_an_hdf5_file_with_a_run_column_equals_its_csv_file(tmp_path):
         file["run"], file["u"], file["note"] = run, 0 * run, "x"
     card = {"columns": {"run": "run", "observation": ["y_0", "y_1", "y_2"], "input": ["u"]}, "sampling_time": 10,
             "units": {"length": "mm", "time": "ms"}, "rest": [0, 0, 0], "decays": ["a:1"],
-            "split": {"test": ["a:2"]}}
+            "split": {"test": ["a:2"]}, "faults": {"copies": "keep"}}
     datasets = []
     for file in ("a.csv", "a.h5"):
         (tmp_path / "card.yaml").write_text(yaml.safe_dump(card | {"files": [file]}))
@@ -185,13 +185,19 @@ def edit(path, row, column, value):
     path.write_text("\n".join(lines))
 
 
-def test_rows_with_empty_cells_are_refused_or_split_the_run(tmp_path):
-    path = csv_card(tmp_path)
-    edit(tmp_path / "inputs.csv", 80, 2, "")
-    with pytest.raises(ValueError, match=r"inputs: 1 of 200 rows are not finite, the first are rows \[80\]"):
+def test_rows_with_empty_cells_are_bridged_split_the_run_or_are_refused(tmp_path):
+    """Up to five empty rows are bridged, or up to two with "split"; the run ends before more of them."""
+    whole = custom(csv_card(tmp_path)).select("test")[0]
+    path = csv_card(tmp_path, missing="refuse")
+    for row in (80, 81, 82):
+        edit(tmp_path / "inputs.csv", row, 2, "")
+    with pytest.raises(ValueError, match=r"inputs: 3 of 200 rows are not finite, the first are rows \[80, 81, 82\]"):
         custom(path)
     parts = custom(csv_card_keeping(tmp_path, missing="split")).select("test")
-    assert [(p.name, p.length) for p in parts] == [("inputs/0", 80), ("inputs/1", 119)]
+    assert [(p.name, p.length) for p in parts] == [("inputs/0", 80), ("inputs/1", 117)]
+    bridged, = custom(csv_card_keeping(tmp_path, missing="bridge")).select("test")
+    np.testing.assert_allclose(bridged.observation, whole.observation, atol=1e-6)
+    np.testing.assert_array_equal(bridged.input, whole.input)
 
 
 def csv_card_keeping(folder, **changes):

@@ -139,10 +139,10 @@ def test_more_processes_than_segments_are_refused_with_the_numbers():
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"validation_share": 1.0}, "validation_share is 1.0; expected 0 ≤ share < 1"),
+    ({"validation_share": 1.0}, r"validation_share is 1\.0; expected"),
     ({"validation_share": -0.1}, "validation_share is -0.1"),
-    ({"overdrive": 0.9}, "overdrive is 0.9; expected 1 or more"),
-    ({"overspeed": 1.5}, "overspeed is 1.5; expected a whole number, 1 or more"),
+    ({"overdrive": 0.9}, r"overdrive is 0\.9; expected"),
+    ({"overspeed": 1.5}, r"overspeed is 1\.5; expected"),
     ({"transient": -1.0}, "transient is -1.0 s"),
     ({"rollout_horizon": 0.0}, "rollout_horizon is 0.0 s"),
     ({"validation_horizon": -2.0}, "validation_horizon is -2.0 s")])
@@ -162,7 +162,7 @@ def test_the_training_can_be_limited_to_some_decays_and_some_seconds_of_controll
     data = module(validation_share=0.0, decays=0, controlled_duration=2.5)
     assert [(run.kind, run.length) for run in data.training] == [("controlled", 200), ("controlled", 50)]
     assert [run.kind for run in module(validation_share=0.0, decays=1).training] == ["decay", *["controlled"] * 2]
-    with pytest.raises(ValueError, match="decays is -1; expected a whole number, 0 or more"):
+    with pytest.raises(ValueError, match="decays is -1; expected"):
         module(decays=-1)
 
 

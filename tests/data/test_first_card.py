@@ -17,7 +17,13 @@ from ssmr_torch.recording_files.table import Table
 T = 0.01 * np.arange(300)
 SWING = 12 * np.exp(-2 * T)[:, None] * np.cos(9 * T[:, None] + np.arange(3)) + [5, -3, 120]
 STEPS = np.repeat(np.random.default_rng(0).uniform(-1, 1, (25, 2)), 12, axis=0)
-DRIVEN = np.cumsum(STEPS @ [[1, 2, 0.5], [-1, 1, 0.5]], axis=0) / 3 + [5, -3, 120]
+
+
+def driven(steps):
+    return np.cumsum(steps @ [[1, 2, 0.5], [-1, 1, 0.5]], axis=0) / 3 + [5, -3, 120]
+
+
+DRIVEN = driven(STEPS)
 
 
 def write(path, header, *columns, fmt="%.8g"):
@@ -27,8 +33,8 @@ def write(path, header, *columns, fmt="%.8g"):
 def robot(folder, header="t,x,y,z,u1,u2", scale=1.0, clock=1.0):
     write(folder / "release_1.csv", header, clock * T, scale * SWING, 0 * STEPS)
     write(folder / "release_2.csv", header, clock * T, scale * (2 * np.array([5, -3, 120]) - SWING), 0 * STEPS)
-    for name in ("inputs", "check"):
-        write(folder / f"{name}.csv", header, clock * T, scale * DRIVEN, STEPS)
+    for name, steps in (("inputs", STEPS), ("check", STEPS[::-1])):
+        write(folder / f"{name}.csv", header, clock * T, scale * driven(steps), steps)
     return [folder / f"{name}.csv" for name in ("release_1", "release_2", "inputs", "check")]
 
 

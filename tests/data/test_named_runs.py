@@ -12,7 +12,9 @@ from ssmr_torch.data.card_reader import custom
 from ssmr_torch.data.card_text import content_of
 
 K = np.arange(20)
-M = np.c_[K / 100, 5 + 0.1 * K, 0 * K - 3.0, 0 * K + 120.0, 0.01 * K, 0.0 * K]
+M = np.c_[K / 100, 5 + 0.1 * K, -3 + 0.05 * K, 120 - 0.02 * K * K, 0.01 * K, 0.02 * K]
+DECAY = M * [1, 1, 1, 1, 0, 0]
+OTHER = np.c_[M[:, :1], [5, -3, 120] - 0.5 * (M[:, 1:4] - [5, -3, 120]), -M[:, 4:]]  # another run of the same robot
 CARD = {"files": ["m.csv"], "columns": {"time": "t", "observation": ["x", "y", "z"], "input": ["u1", "u2"]},
         "units": {"length": "mm", "input": "1", "time": "s"}, "rest": [5, -3, 120], "decays": []}
 NESTED = {"time": "t", "observation": ["p_0", "p_1", "p_2"], "input": ["c_0", "c_1"]}
@@ -68,7 +70,7 @@ def test_yaml_that_only_looks_like_numbers_dates_and_answers_is_text():
 
 @pytest.mark.parametrize("stem", ["001", "2024-03-01", "1_000", "no", "12", "1-2"])
 def test_a_file_is_found_by_its_stem_without_quotes(stem, tmp_path):
-    write(tmp_path / f"{stem}.csv")
+    write(tmp_path / f"{stem}.csv", DECAY)
     dataset = read_text(tmp_path, BEGIN.replace("m.csv, n.csv", f"{stem}.csv").replace("[m]", f"[{stem}]"))
     assert names(dataset) == [(stem, "decay", "train", 20)]
 
@@ -100,8 +102,8 @@ def test_a_file_with_brackets_in_its_name_is_that_file(tmp_path):
 
 
 def test_files_of_one_name_in_two_folders_are_two_runs_and_two_sources(tmp_path):
-    for day in (1, 2):
-        write(tmp_path / f"day{day}" / "r.csv", M + [0, day, 0, 0, 0, 0])
+    for day, rows in ((1, M), (2, OTHER)):
+        write(tmp_path / f"day{day}" / "r.csv", rows)
     dataset = read(tmp_path, files=["day*/r.csv"], split={"test": ["day2/r"]})
     assert names(dataset) == [("day1/r", "controlled", "train", 20), ("day2/r", "controlled", "test", 20)]
     assert list(dataset.provenance["sources"]) == ["card.yaml", "day1/r.csv", "day2/r.csv"]
@@ -111,11 +113,11 @@ def test_files_of_one_name_in_two_folders_are_two_runs_and_two_sources(tmp_path)
 
 def test_groups_of_an_hdf5_file_are_runs_that_may_be_named_alone(tmp_path):
     with h5py.File(tmp_path / "session.h5", "w") as file:
-        for run in ("r1", "r2"):
-            file[f"{run}/t"], file[f"{run}/p"], file[f"{run}/c"] = M[:, 0], M[:, 1:4], M[:, 4:]
+        for run, rows in (("r1", DECAY), ("r2", OTHER)):
+            file[f"{run}/t"], file[f"{run}/p"], file[f"{run}/c"] = rows[:, 0], rows[:, 1:4], rows[:, 4:]
     dataset = read(tmp_path, files=["session.h5"], columns=NESTED, decays=["r1"], split={"test": ["session:r2"]})
     assert names(dataset) == [("session:r1", "decay", "train", 20), ("session:r2", "controlled", "test", 20)]
-    assert dataset[0].observation[-1].tolist() == pytest.approx([1.9e-3, 0, 0])
+    np.testing.assert_allclose(dataset[0].observation, 1e-3 * (M[:, 1:4] - [5, -3, 120]), atol=1e-12)
     with pytest.raises(ValueError, match=r"decays names the runs \['r3'\].* do not exist; .*'session:r1'"):
         read(tmp_path, files=["session.h5"], columns=NESTED, decays=["r3"])
 
@@ -138,7 +140,7 @@ def test_runs_of_matlab_structs_and_cells_are_read(tmp_path):
     ({"decays": ["m/0"]}, [("decay", "train"), ("controlled", "train")]),
     ({"decays": ["m"], "split": {"test": ["m/0"]}}, [("decay", "test"), ("decay", "train")])])
 def test_a_piece_between_seams_has_a_split_and_a_kind_of_its_own(changes, expected, tmp_path):
-    write(tmp_path / "m.csv", M if "m/1" in str(changes) else M * [1, 1, 1, 1, 0, 0])
+    write(tmp_path / "m.csv", M if "m/1" in str(changes) else DECAY)
     dataset = read(tmp_path, seams={"m": [10]}, minimum_length=2, **changes)
     assert names(dataset) == [("m/0", *expected[0], 10), ("m/1", *expected[1], 10)]
 
@@ -151,7 +153,7 @@ def test_a_piece_that_does_not_exist_is_refused_with_those_that_do(tmp_path):
 
 def test_a_decay_whose_file_has_no_inputs_has_zero_inputs_which_is_said(tmp_path):
     write(tmp_path / "m.csv")
-    write(tmp_path / "n.csv", M[:, :4], "t,x,y,z")
+    write(tmp_path / "n.csv", OTHER[:, :4], "t,x,y,z")
     dataset = read(tmp_path, files=["m.csv", "n.csv"], decays=["n"])
     assert not dataset[1].input.any() and "The inputs of the decays n, which" in dataset.provenance["assumptions"][-1]
     with pytest.raises(ValueError, match=r"n.csv has no numeric column \['u1', 'u2'\]"):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ssmr_torch.data.matlab_reader import read_koopman_struct
-from ssmr_torch.data.run_boundaries import check_seams, count_blips, count_frozen, find_seams
+from ssmr_torch.data.run_boundaries import check_seams, find_seams
 from ssmr_torch.recording_clocks.gaps import find_time_gaps
 from ssmr_torch.recording_files.reading import read_tables
 
@@ -56,30 +56,6 @@ def test_lost_time_is_a_gap():
     time = 0.01 * np.arange(20)
     time[7:] += 0.05
     assert find_time_gaps(time).tolist() == [7]
-
-
-def test_blips_and_frozen_samples_are_counted():
-    y = swinging()
-    y[100] += 0.01
-    y[201:204] = y[200]
-    assert count_blips(y) == 1
-    assert count_frozen(y) == 3
-
-
-def test_rounded_samples_at_rest_and_at_turning_points_are_not_frozen():
-    rng = np.random.default_rng(0)
-    decay = swinging(2000, noise=0.0) * np.exp(-0.004 * np.arange(2000))[:, None]
-    for noise in (0.0, 2e-5, 1e-4):
-        rounded = np.round(decay + noise * rng.normal(size=decay.shape), 4)
-        repeated = (np.diff(rounded, axis=0) == 0).any(axis=1).sum()
-        assert repeated > 500 and count_frozen(rounded) <= 0.02 * repeated, (noise, count_frozen(rounded))
-
-
-def test_a_lost_marker_is_counted_in_rounded_samples_that_move_on():
-    y = np.round(swinging(noise=0.0), 4)
-    before = count_frozen(y)
-    y[301:306] = y[300]
-    assert count_frozen(y) == before + 5
 
 
 def test_a_file_whose_seams_differ_from_the_known_ones_is_refused():

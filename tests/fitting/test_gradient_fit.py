@@ -2,6 +2,7 @@
 
 from functools import partial
 from time import process_time
+from types import SimpleNamespace
 
 import lightning
 import numpy as np
@@ -184,7 +185,7 @@ def test_a_fit_trains_what_an_earlier_one_froze():
 def test_the_state_of_a_fit_is_stored_in_its_checkpoint():
     (fit, batch), (again, _) = started(), started()
     fit.training_step(batch, 0)
-    fit._best, fit._waited = 0.25, 3
+    fit._best, fit._waited, fit._trainer = 0.25, 3, SimpleNamespace(should_stop=False, current_epoch=0)
     checkpoint = {}
     fit.on_save_checkpoint(checkpoint)
     again.on_load_checkpoint(checkpoint)

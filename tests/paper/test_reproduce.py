@@ -132,9 +132,13 @@ def test_ended_by_a_signal_it_leaves_no_process_behind(tmp_path, executor, numbe
     assert len(marked(mark)) > 1
     process.send_signal(number)
     said = process.communicate()[1]
-    assert process.returncode != 0
-    if number != signal.SIGKILL:
-        assert "ended by a signal; the same command goes on" in said and not (tmp_path / "unfinished").exists()
+    if number == signal.SIGKILL:
+        assert process.returncode == -number
+    else:
+        name = "Ctrl-C" if number == signal.SIGINT else "SIGTERM"
+        assert process.returncode == 128 + number and not (tmp_path / "unfinished").exists()
+        assert f"ended by {name}; the same command with hydra.run.dir={tmp_path} goes on" in said
+        assert "Traceback" not in said
     assert wait_until(lambda: not marked(mark)), marked(mark)
 
 

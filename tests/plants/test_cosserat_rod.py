@@ -60,7 +60,7 @@ def test_signed_forces_mirror_each_other():
     assert right[0] > 0
 
 
-@pytest.mark.parametrize("settings, message", [({"elements": 7}, "elements is 7"), ({"young": 0.0}, "young 0.0"),
+@pytest.mark.parametrize("settings, message", [({"elements": 7}, "elements is 7"), ({"young": 0.0}, "young is 0.0 Pa"),
                                                ({"substep": 3e-4}, "whole multiple")])
 def test_impossible_settings_of_a_rod_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):

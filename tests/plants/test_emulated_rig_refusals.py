@@ -8,18 +8,18 @@ from ssmr_torch.plants.slow_manifold import SlowManifold
 
 
 @pytest.mark.parametrize(("settings", "message"), [
-    ({"noise_std": -1e-3}, r"noise_std is -0.001 m; expected a finite number"),
+    ({"noise_std": -1e-3}, r"noise_std is -0\.001 m; expected"),
     ({"noise_std": np.nan}, r"noise_std is nan m; expected"),
     ({"sensor_delay": 0.015}, r"sensor_delay is 0.015 s, which is 1.5 times the plant's timestep, 0.01 s; expected"),
     ({"sensor_delay": -0.01}, r"sensor_delay is -0.01 s; expected"),
-    ({"drop_probability": 1.0}, r"drop_probability is 1.0; expected 0 or more and less than 1"),
+    ({"drop_probability": 1.0}, r"drop_probability is 1\.0; expected"),
     ({"dropped": "late"}, r"dropped is 'late'; expected one of"),
     ({"actuator_lag": np.inf}, r"actuator_lag is inf s; expected"),
-    ({"rate_limit": 0.0}, r"rate_limit is 0.0 N/s; expected one positive finite number or 4, or None"),
+    ({"rate_limit": 0.0}, r"rate_limit is 0\.0; expected"),
     ({"rate_limit": [1.0, 2.0]}, r"rate_limit is \[1.0, 2.0\] N/s; expected"),
     ({"saturation": 1.6}, r"saturation is \[1.6, 1.6, 1.6, 1.6\] N; expected forces within the input bounds"),
-    ({"saturation": -1.0}, r"saturation is -1.0 N; expected one positive"),
-    ({"cable_friction": -0.1}, r"cable_friction is -0.1 \(μθ\); expected"),
+    ({"saturation": -1.0}, r"saturation is -1\.0; expected"),
+    ({"cable_friction": -0.1}, r"cable_friction is -0\.1; expected"),
 ])
 def test_impossible_settings_are_refused_with_what_was_given_and_expected(settings, message):
     with pytest.raises(ValueError, match=message):

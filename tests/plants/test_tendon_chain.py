@@ -79,7 +79,7 @@ def test_opposite_tendons_mirror_each_other():
     assert right[0] > 0
 
 
-@pytest.mark.parametrize("settings, message", [({"links": 11}, "links is 11"), ({"mass": 0.0}, "mass 0.0"),
+@pytest.mark.parametrize("settings, message", [({"links": 11}, "links is 11"), ({"mass": 0.0}, "mass is 0.0 kg"),
                                                ({"substep": 3e-3}, "whole multiple")])
 def test_impossible_settings_of_a_chain_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):

@@ -68,7 +68,7 @@ def test_the_rose_reaches_its_amplitude_in_the_middle_of_every_petal_and_passes_
 
 @pytest.mark.parametrize("petals", [0, 2])
 def test_a_rose_without_an_odd_number_of_petals_is_refused(petals):
-    with pytest.raises(ValueError, match=f"petals is {petals}; expected an odd number"):
+    with pytest.raises(ValueError, match=f"petals is {petals}; expected"):
         rose(petals=petals)
 
 
@@ -90,7 +90,7 @@ def test_tracked_outputs_are_found_by_name_or_index():
     assert figure_eight(tracked=("tip_x", "tip_y")).columns(names) == (2, 3)
     assert figure_eight(tracked=(0, 3)).columns() == (0, 3)
     for tracked in (("tip_z", "tip_x"), (0, 4), (-1, 0)):
-        with pytest.raises(ValueError, match="the outputs are"):
+        with pytest.raises(ValueError, match=r"the outputs are|tracked\[0\] is -1; expected"):
             figure_eight(tracked=tracked).columns(names)
 
 

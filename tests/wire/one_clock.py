@@ -1,4 +1,4 @@
-"""Both ends on one clock of their own: pauses of seconds, and a network that loses, repeats and reorders, in no time."""
+"""Both ends on one clock of their own: pauses, and a network that loses, repeats and reorders, take no time."""
 
 from __future__ import annotations
 

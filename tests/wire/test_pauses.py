@@ -53,3 +53,23 @@ def test_after_pauses_of_either_end_the_same_run_goes_on_within_three_periods(co
     told = run(planned[-1][1] + 1.0, robot_pauses=of_end(planned, 0), controller_pauses=of_end(planned, 1),
                timeout=TIMEOUT)
     assert_kept(planned, *told)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_lost_repeated_and_reordered_messages_leave_the_run_the_same_and_no_input_old(seed):
+    plant, robot, end, link = run(20.0, loss=0.1, twice=0.1, reordered=0.1, seed=seed, timeout=TIMEOUT)
+    assert ages(plant.steps).max() <= TIMEOUT + 3 * T and end.finished == 1
+    assert plant.resets == 1 and not end.counts["lost_robots"] and not end.counts["renumbered"]
+    answered = np.mean([u != SAFE and u[0] == 0.6 and when - u[1] * SPAN < 2 * T for when, u in plant.steps])
+    assert answered > 0.6  # both ways have to arrive in time: 0.9 × 0.9 × 0.9 × 0.9
+    assert robot.counts["repeated"] > 50 and end.counts["repeated"] > 50 and end.counts["reordered"] > 50
+
+
+def test_pauses_of_both_ends_at_once_and_a_bad_network_end_no_run():
+    rng = np.random.default_rng(5)
+    starts = np.cumsum(rng.uniform(0.3, 3.0, 60))
+    both = [(start, start + length) for start, length in zip(starts, rng.uniform(0.005, 0.25, 60))]
+    moved = [(start + shift, end + shift) for (start, end), shift in zip(both, rng.uniform(-0.1, 0.0, 60))]
+    plant, robot, end, link = run(starts[-1] + 3.0, robot_pauses=both, controller_pauses=moved, loss=0.05, twice=0.05,
+                                  reordered=0.02, timeout=TIMEOUT)
+    assert end.finished == 1 and plant.resets == 1 and ages(plant.steps).max() <= TIMEOUT + 3 * T

@@ -12,7 +12,7 @@ from wire.test_robot_end import RUN, SAFE, H, command, controller
 
 from ssmr_torch.wire.messages import Code, Kind, Message
 from ssmr_torch.wire.robot_end import RobotEnd
-from ssmr_torch.wire.stopping import ended_in_order
+from ssmr_torch.wire.stopping import ended_by_signals
 
 
 def paused_once(link, integrator, seconds, at):
@@ -127,7 +127,8 @@ def test_when_patience_ends_the_robot_looks_for_a_controller_again(fake_robot, i
 
 
 def test_garbage_leaves_a_short_log(fake_robot, integrator, caplog):
-    robot, _ = fake_robot(controller(last=50, say=lambda m: [(1e-4, b"garbage")] * 20 + [(1e-3, command(m))]), integrator)
+    answers = controller(last=50, say=lambda m: [(1e-4, b"garbage")] * 20 + [(1e-3, command(m))])
+    robot, _ = fake_robot(answers, integrator)
     with caplog.at_level(logging.INFO):
         robot.drive()
     assert robot.counts == {"malformed": 1000} and len(caplog.records) < 10
@@ -158,7 +159,7 @@ def test_a_signal_lets_the_robot_apply_its_safe_input_and_say_goodbye(fake_robot
 
 def test_a_second_signal_does_not_interrupt_the_goodbye():
     said = []
-    with pytest.raises(SystemExit), ended_in_order():
+    with pytest.raises(SystemExit), ended_by_signals():
         try:
             os.kill(os.getpid(), signal.SIGTERM)
             time.sleep(1.0)
@@ -174,11 +175,11 @@ def test_signals_of_somebody_else_and_of_other_threads_are_left_alone():
     mine, seen = lambda *_: None, []
     before = signal.signal(signal.SIGTERM, mine)
     try:
-        with ended_in_order():
+        with ended_by_signals():
             assert signal.getsignal(signal.SIGTERM) is mine
 
         def elsewhere():
-            with ended_in_order():
+            with ended_by_signals():
                 seen.append(signal.getsignal(signal.SIGHUP))
 
         thread = threading.Thread(target=elsewhere)

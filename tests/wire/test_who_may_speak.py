@@ -150,7 +150,8 @@ def test_of_many_measurements_that_wait_only_the_newest_is_used(paced, echo):
 def test_two_that_wait_are_both_used(paced, echo):
     waiting = [(paced.peer, Message(Kind.MEASUREMENT, paced.run, k, 50 + k * H, values=np.ones(2)).pack())
                for k in (1, 2)]
-    assert [reply.message.sequence for reply in paced.end.receive_all(waiting, 2 * H)] == [1, 2] and not paced.end.counts
+    assert [reply.message.sequence for reply in paced.end.receive_all(waiting, 2 * H)] == [1, 2]
+    assert not paced.end.counts
 
 
 def test_when_the_controller_itself_was_held_up_it_does_not_ask_for_each_sample_that_is_over(paced, echo):

@@ -33,7 +33,7 @@ def compile_library(source: Path, library: Path, flags: tuple[str, ...] = FLAGS,
     """
     sources = map(str, (source, *others))
     done = subprocess.run([compiler(), *flags, "-shared", "-fPIC", "-o", str(library), *sources, "-lm"],
-                          capture_output=True, text=True)
+                          capture_output=True, encoding="utf-8", errors="replace")
     if done.returncode:
         raise ValueError(f"{compiler()} cannot compile {source.name}:\n{done.stderr[:2000]}")
     return done.stderr

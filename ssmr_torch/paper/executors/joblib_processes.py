@@ -8,7 +8,9 @@ from concurrent.futures import Future
 
 from joblib.externals.loky import get_reusable_executor
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.paper.executors.worker_process import begin
+from ssmr_torch.quantities import WORKERS
 
 
 class JoblibProcesses:
@@ -17,6 +19,7 @@ class JoblibProcesses:
     workers: processes.
     """
 
+    @checked(workers=WORKERS)
     def __init__(self, workers: int = 2):
         self.workers = workers
         self._futures: list[Future] = []

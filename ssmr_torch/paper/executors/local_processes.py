@@ -9,7 +9,9 @@ from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.paper.executors.worker_process import begin
+from ssmr_torch.quantities import WORKERS
 
 
 class LocalProcesses:
@@ -18,6 +20,7 @@ class LocalProcesses:
     workers: processes.
     """
 
+    @checked(workers=WORKERS)
     def __init__(self, workers: int = 2):
         self.workers = workers
         self._lock = threading.Lock()

@@ -10,7 +10,10 @@ from concurrent.futures import Future
 
 import ray
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.paper.executors.worker_process import SINGLE
+from ssmr_torch.quantities import TEXT, WORKERS
+from ssmr_torch.ranges import OrNone
 
 
 class RayTasks:
@@ -21,6 +24,7 @@ class RayTasks:
     which ends with the command.
     """
 
+    @checked(workers=WORKERS, address=OrNone(TEXT))
     def __init__(self, workers: int = 2, address: str | None = None):
         self.workers = workers
         self._cluster = {"num_cpus": workers, "include_dashboard": False} if address is None else {

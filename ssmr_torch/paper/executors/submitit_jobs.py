@@ -8,6 +8,10 @@ from pathlib import Path
 
 import submitit
 
+from ssmr_torch.checked_arguments import checked
+from ssmr_torch.quantities import PATH, TEXT, WORKERS
+from ssmr_torch.ranges import Number, OrNone, Whole
+
 
 class SubmititJobs:
     """One job of the cluster for each job, with one CPU.
@@ -16,6 +20,8 @@ class SubmititJobs:
     file system that the nodes share. timeout_min: min. mem_gb: GB. partition: of Slurm; null for its default.
     """
 
+    @checked(folder=PATH, workers=WORKERS, cluster=TEXT, timeout_min=Whole(1, 100_000), mem_gb=Number(0.1, 1e5, "GB"),
+             partition=OrNone(TEXT))
     def __init__(self, folder: str, workers: int = 2, cluster: str = "slurm", timeout_min: int = 240,
                  mem_gb: float = 4, partition: str | None = None):
         if cluster not in ("slurm", "local"):

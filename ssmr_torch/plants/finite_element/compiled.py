@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from numba import njit
+from ssmr_torch.compiled_functions import compiled
 
 # Fused multiply-adds are allowed. A division by zero gives infinity and no exception; the step then reports divergence.
-kernel = njit(cache=True, error_model="numpy", fastmath={"contract"})
+kernel = compiled(error_model="numpy", fastmath={"contract"})

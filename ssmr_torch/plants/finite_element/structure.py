@@ -9,15 +9,22 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csc_array
 
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.plants.base import finite_vector
 from ssmr_torch.plants.finite_element import elements
 from ssmr_torch.plants.finite_element.cables import Cables
 from ssmr_torch.plants.finite_element.mesh import TetrahedralMesh
 from ssmr_torch.plants.finite_element.sparsity import Sparsity
+from ssmr_torch.ranges import Each, Number, OneOf
 
 MASS_DISTRIBUTIONS = ("nodal", "volume")
 
 
+@checked(young=Number(1.0, 1e13, "Pa"), poisson=Number(-0.99, 0.4999), mass=Number(1e-6, 1e6, "kg"),
+         mass_damping=Number(0.0, 1e6, "1/s"), stiffness_damping=Number(0.0, 1e3, "s"),
+         gravity=Each(Number(-1e3, 1e3, "m/s²"), 3, 3), law=OneOf(*elements.LAWS),
+         mass_distribution=OneOf(*MASS_DISTRIBUTIONS), payload=Number(0.0, 1e4, "kg"),
+         stiffness_scale=Number(1e-6, 1e6))
 @dataclass(frozen=True)
 class Mechanics:
     """The material of the body and its model.

@@ -157,10 +157,12 @@ GOOD = {"young": 1e5, "poisson": 0.4, "mass": 1.0, "mass_damping": 0.0, "stiffne
 
 
 @pytest.mark.parametrize(("changes", "match"), [
-    ({"young": 0}, "positive modulus"), ({"poisson": 0.5}, "ν < 0.5"), ({"stiffness_scale": 0}, "positive modulus"),
-    ({"stiffness_scale": -1}, "positive modulus"), ({"mass": 0}, "positive mass"), ({"mass": np.nan}, "positive mass"),
-    ({"payload": -1e-3}, "payload of 0 or more"), ({"mass_damping": -1}, "expected 0 or more"),
-    ({"stiffness_damping": np.inf}, "expected 0 or more"), ({"law": "hookean"}, "expected one of"),
+    ({"young": 0}, "young is 0 Pa"), ({"poisson": 0.5}, "poisson is 0.5"),
+    ({"stiffness_scale": 0}, "stiffness_scale is 0"), ({"stiffness_scale": -1}, "stiffness_scale is -1"),
+    ({"mass": 0}, "mass is 0 kg"),
+    ({"mass": np.nan}, "mass is nan"),
+    ({"payload": -1e-3}, "payload is -0.001 kg"), ({"mass_damping": -1}, "mass_damping is -1 1/s; expected"),
+    ({"stiffness_damping": np.inf}, "stiffness_damping is inf s; expected"), ({"law": "hookean"}, "expected one of"),
     ({"mass_distribution": "even"}, "expected one of"),
 ], ids=str)
 def test_impossible_mechanics_are_refused(changes, match):
