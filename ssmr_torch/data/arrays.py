@@ -39,8 +39,8 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     """The dataset of runs that are arrays, or frames of pandas or polars.
 
     Each run is (t, y, u): times (T,), numbers or dates, or one number, the sampling time; the displacement of the
-    observed points from rest, (T, p) or (T,); inputs (T, m) or (T,), u[k] held from sample k to k + 1, so that y[k] does
-    not feel it yet. A decay may be (t, y): its inputs are zero. Frames bring the names of their columns.
+    observed points from rest, (T, p) or (T,); inputs (T, m) or (T,), u[k] held from sample k to k + 1, so that y[k]
+    does not feel it yet. A decay may be (t, y): its inputs are zero. Frames bring the names of their columns.
 
     decays: runs back to rest without input. controlled: runs under inputs. Both are trained on. validation, test: runs
     that are not; those whose inputs never move count as decays. A mapping instead of a list names its runs.
@@ -51,8 +51,7 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     "bridge" (up to five, else cut), "split" (up to two) or "refuse". faults: rules as {"outliers": "cut"}, see
     `recording_faults.rules.FaultRules`. minimum_length: samples; shorter runs are left out. range, interval_range:
     smallest and largest plausible peak displacement, m, and sampling time, s; largest_input: of |u|, in N or 1. stamps:
-    "even" spreads samples evenly. same_stamp: of samples of one time, "refuse" them, or keep the "first" or "last".
-    input_lag: "keep", "remove", or s by which inputs stand late.
+    "even" spreads samples evenly. same_stamp: "refuse", "first" or "last" of one time. input_lag: "keep", "remove" or s.
 
     Raises ValueError, with the run and the remedy, for lengths, names and units that do not fit, and for faults.
 
@@ -78,12 +77,12 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     input_names = _common("input", runs, [run.input for run in runs], input_names)
     clock = ClockRules("t", measured.time, None, None, None, stamps, same_stamp, interval_range, tuple(output_names))
     recordings = [run.recording(output_names, input_names, measured, clock) for run in runs]
-    rules, provenance = FaultRules.of(faults or {}), _provenance(recordings, measured)
+    provenance, rules = _provenance(recordings, measured), FaultRules.of(faults or {})
     recordings = _without_faults(recordings, input_names, rules, missing, measured)
     origin = np.zeros(len(output_names)) if rest is None else measured.scale("length") * _vector(rest, output_names)
-    plausible = Plausible((range[0], range[1]), (interval_range[0], interval_range[1]), largest_input)
-    dataset = assemble(recordings, origin, output_names, input_names, measured,
-                       SamplingRule("resample", timestep, minimum_length=minimum_length), provenance, plausible)
+    rule = SamplingRule("resample", timestep, minimum_length=minimum_length)
+    dataset = assemble(recordings, origin, output_names, input_names, measured, rule, provenance,
+                       Plausible(tuple(range), tuple(interval_range), largest_input))
     return with_lag(without_copies(dataset, rules.copies), input_lag)
 
 

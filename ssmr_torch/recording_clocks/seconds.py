@@ -53,7 +53,7 @@ def clock_of(table: Table, name: str, file: str, rules: ClockRules) -> Clock:
         notes = uncounted(table, name, (*rules.outputs, *rules.inputs))
         if table.interval is not None and abs(interval / table.interval - 1) > SAME_RATE:
             notes.append(Note(name, "another rate", f"the file says {1 / table.interval:.6g} Hz, the card's "
-                              f"sampling_time {1 / interval:.6g} Hz; leave sampling_time out to take the file's", "kept"))
+                              f"sampling_time {1 / interval:.6g} Hz; leave it out to take the file's", "kept"))
         return Clock(interval * rows, rows, tuple(notes))
     raw, scale, unit = _stamps(table, file, rules)
     time, first = exact_seconds(raw, unit) if unit else (scale * raw, 0)
