@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numba
@@ -28,15 +29,14 @@ def compiled(**options: Any) -> Callable:
         made = numba.njit(**options)(function)
         if not has_home() and not numba.config.CACHE_DIR:
             numba.config.CACHE_DIR = str(own_folder() or "")
-        try:
-            made._cache = _Kept(function)
-        except RuntimeError:  # Numba has found no place
-            numba.config.CACHE_DIR = str(own_folder() or "")
+        for _ in range(2):
             try:
                 made._cache = _Kept(function)
-            except RuntimeError:
-                _say("compiled functions are kept in no file, so that each process compiles them again for some "
-                     "seconds; set NUMBA_CACHE_DIR to a folder that can be written")
+                return made
+            except (RuntimeError, ValueError, OSError):  # Numba has found no place, or cannot write its name
+                numba.config.CACHE_DIR = str(own_folder() or "")
+        _say("compiled functions are kept in no file, so that each process compiles them again for some seconds; set "
+             "NUMBA_CACHE_DIR to a folder that can be written")
         return made
 
     return decorate
@@ -49,12 +49,14 @@ class _Kept(FunctionCache):
         except Exception as error:  # a damaged file raises any type of error
             _say(f"a compiled function cannot be read from {self.cache_path} ({type(error).__name__}: {error}); it is "
                  "compiled again")
+            with suppress(Exception):
+                self.flush()
             return None
 
     def save_overload(self, sig, data):
         try:
             super().save_overload(sig, data)
-        except OSError as error:
+        except Exception as error:
             _say(f"compiled functions cannot be kept in {self.cache_path} ({error})")
 
 

@@ -26,10 +26,15 @@ def quiet() -> None:
 
 
 def print_anything() -> None:
-    """Let a terminal that cannot show a character show a question mark; without this, printing it is an error."""
+    """Let a terminal that cannot show a character show a question mark; without this, printing it is an error. Files of
+    the log are in UTF-8.
+    """
     for stream in (sys.stdout, sys.stderr):
         if getattr(stream, "errors", None) in ("strict", "surrogateescape"):
             stream.reconfigure(errors="replace")
+    for handler in logging.getLogger().handlers:
+        if isinstance(handler, logging.FileHandler) and hasattr(handler.stream, "reconfigure"):
+            handler.stream.reconfigure(encoding="utf-8", errors="replace")
 
 
 def settle() -> None:

@@ -192,4 +192,4 @@ def _opened(path: Path, identity: str) -> h5py.File:
 def _open_once(path: Path, inode: int, modified: int, process: int, identity: str) -> h5py.File:
     if identity and _identity(path) != identity:
         raise ValueError(f"{path} was replaced since its trajectories were loaded; load it again")
-    return open_hdf5(path)
+    return h5py.File(path, "r")  # its content was checked when it was loaded

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
@@ -22,6 +23,7 @@ from ssmr_torch.collection.recording_plans import RecordingPlan, naming
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.trajectory import Trajectory
 
+log = logging.getLogger(__name__)
 REPORTED_EVERY = 50  # samples
 POLLED_EVERY = 0.5  # s
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS",
@@ -76,12 +78,24 @@ def record_all(plant: Plant, plans: Sequence[RecordingPlan], seed: int, workers:
     Raises the error of the first plan that fails, after keeping what is finished, and ChildProcessError when a
     worker process dies; no worker outlives the call, nor the process that called.
     """
-    if workers > 1 and plans:
+    if workers > 1 and plans and _can_start_workers():
         return _record_in_workers(plant, plans, seed, workers, keep, report)
     before = 0
     for plan in plans:
         keep(record(plant, plan, seed, lambda samples: report(before + samples)))
         before += plan.samples(plant.timestep)
+
+
+def _can_start_workers() -> bool:
+    """Whether worker processes can share locks and memory here; one line in the log where they cannot."""
+    try:
+        get_context("spawn").Lock()
+        RawArray("q", 1)
+    except (OSError, ImportError, NotImplementedError) as error:  # such as a machine without /dev/shm
+        log.warning("worker processes cannot share memory here (%s: %s); all is recorded in this process",
+                    type(error).__name__, error)
+        return False
+    return True
 
 
 def _record_in_workers(plant: Plant, plans: Sequence[RecordingPlan], seed: int, workers: int,

@@ -38,9 +38,9 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
                  input_lag: str | float = "keep") -> TrajectoryDataset:
     """The dataset of runs that are arrays, or frames of pandas or polars.
 
-    Each run is (t, y, u): times (T,), numbers or dates, or one number, the sampling time; the displacement of the
-    observed points from rest, (T, p) or (T,); inputs (T, m) or (T,), u[k] held from sample k to k + 1, so that y[k]
-    does not feel it yet. A decay may be (t, y): its inputs are zero. Frames bring the names of their columns.
+    Each run is (t, y, u): times (T,), numbers or dates, or one number, the sampling time; displacements from rest,
+    (T, p) or (T,); inputs (T, m) or (T,), u[k] held from sample k to k + 1, so that y[k] does not feel it yet. A decay
+    may be (t, y): its inputs are zero. Frames bring the names of their columns.
 
     decays: runs back to rest without input. controlled: runs under inputs. Both are trained on. validation, test: runs
     that are not; those whose inputs never move count as decays. A mapping instead of a list names its runs.
@@ -51,7 +51,7 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     "bridge" (up to five, else cut), "split" (up to two) or "refuse". faults: rules as {"outliers": "cut"}, see
     `recording_faults.rules.FaultRules`. minimum_length: samples; shorter runs are left out. range, interval_range:
     smallest and largest plausible peak displacement, m, and sampling time, s; largest_input: of |u|, in N or 1. stamps:
-    "even" spreads samples evenly. same_stamp: "refuse", "first" or "last" of one time. input_lag: "keep", "remove" or s.
+    "even" spreads samples evenly. same_stamp: "refuse", "first" or "last". input_lag: "keep", "remove" or s.
 
     Raises ValueError, with the run and the remedy, for lengths, names and units that do not fit, and for faults.
 
@@ -68,8 +68,7 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     ├─ inputs: held from sample to sample
     │  └─ cable: 0 … 0 N
     ├─ rest: 0 mm
-    ├─ from: arrays
-    └─ sources: decay 1 (...), other (...)
+    ...
     """
     measured = Units(**{"length": "m"} | _known_units(units))
     runs = _runs({"decays": decays, "controlled": controlled, "validation": validation, "test": test})

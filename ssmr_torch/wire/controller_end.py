@@ -22,7 +22,8 @@ log = logging.getLogger(__name__)
 
 # So many measurements that wait to be read are all used; of more, only the newest.
 WAITING = 2
-# s: a robot that was told to start, and does not, gives way to another one.
+# s: a robot that was told to start, and does not, gives way to another one; a silent one to the same one over a new
+# connection.
 GIVES_WAY = 5.0
 # s without a measurement after which the same robot may go on over a new connection in lock-step.
 RECONNECTS = 0.5
@@ -65,7 +66,7 @@ class ControllerEnd:
         self._answers: Answers | None = None
         self._peer: bytes | None = None
         self._run, self._request, self._suspended = randbits(32), 0, False
-        self._last_end: Message | None = None
+        self._last_end, self._hello_text = None, ""
         self._requests: deque[int] = deque(maxlen=1000)  # of runs that have begun
         self._heard = self._due = self._offered = 0.0
         self._notices, self._runs = Notices(log), Notices(log, first=100)
@@ -86,6 +87,11 @@ class ControllerEnd:
     def running(self) -> bool:
         """Whether a robot is in a run."""
         return self._peer is not None and not self._suspended
+
+    @property
+    def paced_peer(self) -> bytes | None:
+        """The connection of the robot in a run in real time; None without such a run."""
+        return self._peer if self.running and self._paced else None
 
     def due(self) -> float:
         """When `tick` must be called next, on the clock of `now`; infinite without a robot."""
@@ -214,8 +220,7 @@ class ControllerEnd:
         if self.running and peer == self._peer and not self._stream.begun:
             self._heard, self._request = now, request
             return [self._start()]
-        silent = self.running and not self._stream.begun and now - self._offered >= GIVES_WAY
-        if self.running and peer != self._peer and not silent:
+        if self.running and peer != self._peer and not self._gives_way(message, now):
             self.counts["foreign"] += 1
             return [Reply(peer, Message(Kind.REFUSE, sequence=request, status=Code.BUSY,
                                         text=f"the controller is busy with the robot {self.description.name!r}"))]
@@ -233,8 +238,15 @@ class ControllerEnd:
             self._notices.say("refused", f"refused a robot: {reason}")
             return [Reply(peer, Message(Kind.REFUSE, sequence=request, text=reason))]
         controller.reset()
+        self._hello_text = message.text
         self._begin(peer, request, robot, controller, now)
         return [self._start()]
+
+    def _gives_way(self, hello: Message, now: float) -> bool:
+        """Whether the present robot is given up for another one, or for itself, started again."""
+        if not self._stream.begun:
+            return now - self._offered >= GIVES_WAY
+        return now - self._heard >= GIVES_WAY and hello.text == self._hello_text
 
     def _begin(self, peer: bytes, request: int, robot: RobotDescription, controller, now: float) -> None:
         before = self._run

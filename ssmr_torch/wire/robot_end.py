@@ -23,12 +23,9 @@ log = logging.getLogger(__name__)
 
 # s between two HELLOs; in lock-step also between two copies of an unanswered measurement.
 AGAIN = 0.5
-# An input may exceed a bound by this share of the range, by rounding; it is clipped.
-ROUNDING = 1e-6
-# So many STARTs may follow one HELLO.
-STARTS = 2**20
-# Most messages that are read at once after a pause.
-WAITING = 4096
+ROUNDING = 1e-6  # share of its range by which an input may exceed a bound; it is clipped
+STARTS = 2**20  # that may follow one HELLO
+WAITING = 4096  # messages that are read at once after a pause
 
 
 class RobotEnd:
@@ -128,6 +125,8 @@ class RobotEnd:
         while True:
             if self._ask(observation, tick) is None:
                 self._unanswered()
+            if self.real_time:
+                self._be_safe_if_silent()  # it may have paused since it heard the command
             observation, observed = self.plant.step(self._input), self.clock()
             tick = self._pace()
             if self.real_time and self.clock() - observed >= 2 * self.description.timestep:

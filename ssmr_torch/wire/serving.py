@@ -11,7 +11,9 @@ from ssmr_torch.wire.stopping import ended_by_signals
 # Longest single wait, s; interrupts are handled in between.
 LONGEST_WAIT = 0.1
 # Most messages that are read before they are answered.
-AT_ONCE = 256
+AT_ONCE = 128
+# During a run in real time so many of those messages are heeded that others than its robot sent.
+OF_OTHERS = 8
 
 
 def serve(link, end: ControllerEnd, *, runs: int | None = None, done: Callable[[ControllerEnd], None] | None = None,
@@ -42,9 +44,17 @@ def answer(link, end: ControllerEnd, clock: Callable[[], float] = monotonic) -> 
     while len(waiting) < AT_ONCE and (received := link.receive(0.0 if waiting else wait)) is not None:
         waiting.append(received)
     now = clock()
+    # The robot comes first, and a flood from elsewhere must not hold it up.
+    peer = end.paced_peer
+    own, others = [each for each in waiting if each[0] == peer], [each for each in waiting if each[0] != peer]
     # A message that waits to be read came in time, however long the controller needed for the one before.
-    replies = end.receive_all(waiting, now) + end.tick(now)
+    replies = end.receive_all(own, now) + end.tick(now)
     for peer, message in replies:
+        link.send(peer, message)
+    heeded = others if peer is None else others[:OF_OTHERS]
+    if len(others) > len(heeded):
+        end.counts["unread"] += len(others) - len(heeded)
+    for peer, message in end.receive_all(heeded, now):
         link.send(peer, message)
     if replies:
         end.prepare()

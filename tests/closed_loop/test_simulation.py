@@ -4,6 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
+from ssmr_torch import checksum
 from ssmr_torch.closed_loop.record import ClosedLoopRecord
 from ssmr_torch.closed_loop.simulation import simulate
 from ssmr_torch.control.base import Command
@@ -171,6 +172,30 @@ def test_another_file_is_refused(tmp_path):
         file["time"] = [0.0]
     with pytest.raises(ValueError, match="format None"):
         ClosedLoopRecord.load(tmp_path / "other.h5")
+
+
+def test_a_record_without_its_checksum_is_refused_and_one_of_an_earlier_version_is_read(tmp_path, caplog):
+    record = simulate(Plant(), Proportional(TASK), TASK)
+    path = record.save(tmp_path / "run.h5")
+    path.write_bytes(path.read_bytes()[:-checksum.LENGTH])
+    with pytest.raises(checksum.Damaged, match="has a checksum, which is missing"):
+        ClosedLoopRecord.load(path)
+    with h5py.File(path, "a") as file:
+        file.attrs["card"] = file.attrs["card"].replace("closed loop 2", "closed loop 1")
+        del file["violation"]  # as records of version 0.8 were
+    np.testing.assert_array_equal(ClosedLoopRecord.load(path).observation, record.observation)
+    assert f"{path} carries no checksum" in caplog.text
+    for change, says in ((lambda file: file["time"].__setitem__(3, np.nan), "time is not finite"),
+                         (lambda file: file["time"].__setitem__(3, 0.0), "time does not increase"),
+                         (lambda file: file.pop("input"), "input"),
+                         (lambda file: file.__setitem__("input", h5py.ExternalLink("a.h5", "u")), "another file")):
+        with h5py.File(path, "a") as file:
+            kept = file["time"][:]
+            change(file)
+        with pytest.raises(ValueError, match=says):
+            ClosedLoopRecord.load(path)
+        with h5py.File(path, "a") as file:
+            file["time"][:] = kept
 
 
 @pytest.mark.parametrize("which", ["plant", "controller", "task"])

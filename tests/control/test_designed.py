@@ -4,6 +4,7 @@ import copy
 import hashlib
 import json
 import pickle
+import sys
 
 import numpy as np
 import pytest
@@ -114,6 +115,18 @@ def test_a_file_cannot_make_the_program_load_anything_but_settings(saved):
     model.designed["controller"]["observer"]["_target_"] = "os.system"
     with pytest.raises(ValueError, match=r"name 'os.system' as _target_; expected a class or function in"):
         model.controller()
+
+
+@pytest.mark.parametrize("settings", [
+    {"_target_": "ssmr_torch.control.designed.found", "home": "antigravity:"},
+    {"_target_": "ssmr_torch.control.designed.build", "settings": {"_target_": "os.system"}, "packages": ["os"]},
+    {"_target_": "ssmr_torch.control.solvers.solver_named", "name": "antigravity:Solver", "dim": 1, "rows": 0},
+    {"_target_": "ssmr_torch.control.solvers.import_module", "name": "antigravity"},
+    {"_target_": "ssmr_torch.control.designed.Path", "a": "b"}], ids=lambda settings: settings["_target_"])
+def test_a_file_cannot_call_what_a_room_has_imported_from_elsewhere(settings):
+    with pytest.raises(ValueError, match="which no settings may call"):
+        build(settings)
+    assert "antigravity" not in sys.modules
 
 
 def test_another_task_of_the_same_outputs_is_taken_and_others_are_refused_with_both_lists(saved, plant):

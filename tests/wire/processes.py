@@ -1,6 +1,7 @@
 """Both ends as processes of their own, for pauses, kills and signals; run as a program, this is one of them.
 
     python tests/wire/processes.py pauses COUNT PAIRS    # random pauses of 5 ms to 3 s, PAIRS runs side by side
+    python tests/wire/processes.py flood COUNT           # so many hostile frames at a controller that steers a robot
 """
 
 from __future__ import annotations
@@ -162,6 +163,12 @@ def oldest(steps):
     return (told[:, 0] - 1e4 * told[:, 2]).max()
 
 
+def older(steps, limit):
+    """How many inputs that are not the safe one were older than `limit` s: the process was stopped as it wrote them."""
+    told = steps[steps[:, 1] == 0.6]
+    return int((told[:, 0] - 1e4 * told[:, 2] > limit).sum())
+
+
 def pauses(count, pairs, timestep=0.01):
     """Random pauses of 5 ms to 3 s in either end of so many runs; what came of them."""
     import tempfile
@@ -175,7 +182,7 @@ def pauses(count, pairs, timestep=0.01):
             pair.controller.signal(signal.SIGTERM)
             _, controller = pair.controller.result()
             return (lengths, recoveries(pair.steps, np.array([end for end, _ in ends]), timestep), oldest(pair.steps),
-                    pair.steps[:, 1:], controller["counts"])
+                    pair.steps[:, 1:], controller["counts"], older(pair.steps, TIMEOUT + 3 * timestep))
 
     with ThreadPoolExecutor(int(pairs)) as pool:
         runs = list(pool.map(one, range(int(pairs))))
@@ -187,11 +194,52 @@ def pauses(count, pairs, timestep=0.01):
     print(json.dumps({"pauses": len(recovered), "not recovered": int(np.isinf(recovered).sum()),
                       "periods": {f"{share} %": float(np.quantile(recovered, share / 100)) for share in (50, 99, 100)},
                       "later than 3": int((recovered > 3).sum()), "oldest input, s": max(run[2] for run in runs),
+                      "inputs older than the timeout and 3 timesteps": sum(run[5] for run in runs),
                       "steps": len(inputs), "inside the bounds": inside,
                       "counts": counts}))
 
 
+def flood(count, timestep=0.02):
+    """So many hostile frames from four connections at a controller in a run; what came of it."""
+    import tempfile
+
+    import zmq
+
+    from ssmr_torch.faults.hostile_frames import frame
+
+    with tempfile.TemporaryDirectory() as directory:
+        os.environ["WIRE_LOG"] = str(Path(directory) / "log")
+        with Pair(directory, timestep) as pair:
+            status = Path(f"/proc/{pair.controller.popen.pid}/status")
+            rng, context = np.random.default_rng(0), zmq.Context()
+            foes = [context.socket(zmq.DEALER) for _ in range(4)]
+            for foe in foes:
+                foe.connect(pair.address)
+            frames, sizes, sent, begun = [frame(rng, k, k) for k in range(5000)], [], 0, time.monotonic()
+            while sent < int(count):
+                if sent % (int(count) // 10) == 0:
+                    sizes.append(int(status.read_text().split("VmRSS:")[1].split()[0]) / 1024)
+                foes[sent % 4].send(frames[int(rng.integers(len(frames)))])  # waits where the queue is full
+                sent += 1
+            spent = time.monotonic() - begun
+            time.sleep(2.0)
+            sizes.append(int(status.read_text().split("VmRSS:")[1].split()[0]) / 1024)
+            steps = pair.steps
+            pair.controller.signal(signal.SIGTERM)
+            exit_status, told = pair.controller.result()
+            print(json.dumps({"frames": sent, "s": spent, "memory, MB": [round(size, 1) for size in sizes],
+                              "log, bytes": sum(path.stat().st_size for path in Path(directory).glob("log*")),
+                              "exit status": exit_status, "steps": len(steps), "oldest input, s": oldest(steps),
+                              "share of fresh inputs": float(fresh(steps, timestep)[5:].mean()),
+                              "inside the bounds": bool(((steps[:, 1:] >= [0.1, 0.0]) & (steps[:, 1:] <= 1.0)).all()),
+                              "counts": told["counts"]}))
+            context.destroy(linger=0)
+
+
 if __name__ == "__main__":
-    logging.disable(logging.CRITICAL)
+    if os.environ.get("WIRE_LOG"):
+        logging.basicConfig(level=logging.INFO, filename=os.environ["WIRE_LOG"] + str(os.getpid()))
+    else:
+        logging.disable(logging.CRITICAL)
     what, *given = sys.argv[1:]
-    {"controller": controller_process, "robot": robot_process, "pauses": pauses}[what](*given)
+    {"flood": flood, "controller": controller_process, "robot": robot_process, "pauses": pauses}[what](*given)

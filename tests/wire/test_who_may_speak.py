@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from wire.test_controller_end import Echo, H, Talk
 
+from ssmr_torch.closed_loop.wire_record import without_holes
 from ssmr_torch.wire.controller_end import GIVES_WAY, ControllerEnd
 from ssmr_torch.wire.messages import Code, Kind, Message
 
@@ -65,6 +66,14 @@ def test_a_robot_that_does_not_begin_gives_way_to_another_one(end, hello):
         (_, answer), = end.receive(b"second", hello(name="second"), at)
         assert answer.kind is kind
     assert end.description.name == "second" and end.counts == {"foreign": 2, "lost_robots": 1}
+
+
+def test_a_robot_in_lock_step_that_was_killed_is_taken_again_before_patience_ends(end, hello):
+    Talk(end, hello()).measure(0, at=0.0)
+    for data, at, kind in ((hello(), 4.9, Kind.REFUSE), (hello(name="other"), 5.1, Kind.REFUSE),
+                           (hello(), 5.2, Kind.START)):
+        (_, answer), = end.receive(b"again", data, at)
+        assert answer.kind is kind
 
 
 def test_a_copy_of_the_hello_that_began_a_run_does_nothing(end, hello):
@@ -176,3 +185,13 @@ def test_two_thousand_refusals_leave_six_lines_in_the_log(hello, caplog):
             end.receive(b"stranger", Message(Kind.HELLO, text="{}").pack(), 0.0)
             end.receive(b"stranger", b"garbage", 0.0)
     assert len(caplog.records) == 2 * 6 and end.counts == {"refused": 2000, "malformed": 2000}
+
+
+def test_the_record_of_a_suspended_run_has_every_sample_of_it(paced, trial):
+    silent(paced)
+    for k in range(300, 320):
+        paced.measure(k, at=k * H)
+    filled = without_holes(paced.end)
+    np.testing.assert_allclose([sample.time for sample in filled], H * np.arange(320))
+    assert np.isnan(filled[200].observation).all() and filled[200].command.held
+    np.testing.assert_array_equal(filled[200].command.input, [0.1, 0.0])
