@@ -6,7 +6,6 @@ import pytest
 from ssmr_torch.collection.excitation import Dithered, SmoothRandom
 from ssmr_torch.recording_checks.noise import measurement_noise
 from ssmr_torch.recording_checks.statics import turned
-from ssmr_torch.recording_clocks.lag import lag_of
 from ssmr_torch.recording_clocks.onset import onset_of
 from ssmr_torch.recording_estimates.modes import slow_modes
 
