@@ -27,7 +27,6 @@ from ssmr_torch.trajectory import TrajectoryDataset
 Runs = Sequence[Sequence] | Mapping[str, Sequence]
 
 
-
 def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs = (), test: Runs = (),
                  output_names: Sequence[str] | None = None, input_names: Sequence[str] | None = None,
                  units: Mapping[str, str] | None = None, rest: npt.ArrayLike | None = None,
@@ -51,7 +50,8 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     "bridge" (up to five, else cut), "split" (up to two) or "refuse". faults: rules as {"outliers": "cut"}, see
     `recording_faults.rules.FaultRules`. minimum_length: samples; shorter runs are left out. range, interval_range:
     smallest and largest plausible peak displacement, m, and sampling time, s; largest_input: of |u|, in N or 1. stamps:
-    "even" spreads samples evenly. same_stamp: "refuse", "first" or "last". input_lag: "keep", "remove" or s.
+    "even" spreads samples evenly. same_stamp: of samples of one time, "refuse" them, or keep the "first" or "last".
+    input_lag: "keep", "remove", or s by which inputs stand late.
 
     Raises ValueError, with the run and the remedy, for lengths, names and units that do not fit, and for faults.
 
@@ -67,7 +67,6 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     │  └─ tip: -4.07 … 8 mm
     ├─ inputs: held from sample to sample
     │  └─ cable: 0 … 0 N
-    ├─ rest: 0 mm
     ...
     """
     measured = Units(**{"length": "m"} | _known_units(units))
@@ -76,12 +75,13 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     input_names = _common("input", runs, [run.input for run in runs], input_names)
     clock = ClockRules("t", measured.time, None, None, None, stamps, same_stamp, interval_range, tuple(output_names))
     recordings = [run.recording(output_names, input_names, measured, clock) for run in runs]
-    provenance, rules = _provenance(recordings, measured), FaultRules.of(faults or {})
+    rules = FaultRules.of(faults or {}).judging(max(len(each.time) for each in recordings))
+    provenance = _provenance(recordings, measured)
     recordings = _without_faults(recordings, input_names, rules, missing, measured)
     origin = np.zeros(len(output_names)) if rest is None else measured.scale("length") * _vector(rest, output_names)
-    rule = SamplingRule("resample", timestep, minimum_length=minimum_length)
-    dataset = assemble(recordings, origin, output_names, input_names, measured, rule, provenance,
-                       Plausible(tuple(range), tuple(interval_range), largest_input))
+    plausible = Plausible((range[0], range[1]), (interval_range[0], interval_range[1]), largest_input)
+    dataset = assemble(recordings, origin, output_names, input_names, measured,
+                       SamplingRule("resample", timestep, minimum_length=minimum_length), provenance, plausible)
     return with_lag(without_copies(dataset, rules.copies), input_lag)
 
 

@@ -52,7 +52,7 @@ def custom(card: str | Path) -> TrajectoryDataset:
     plausible = Plausible(tuple(described.range), tuple(described.interval_range), described.largest_input)
     # Before the rest position: resting samples are found by how long they last.
     refuse_wrong_clock(recordings, described.units, plausible)
-    rules = described.rules
+    rules = described.rules.judging(max(len(each.time) for each in recordings))
     recordings = mended(moving_decays(recordings, described.columns.input, rules.moving_decays), rules,
                         described.missing)
     rest, assumed = _rest(recordings, described)
