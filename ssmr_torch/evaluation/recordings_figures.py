@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +18,32 @@ MOST_POINTS = 4000
 
 
 def save_all(findings: Sequence, directory: str | Path, output_names: Sequence[str]) -> list[Path]:
-    """Write the figure as directory/recordings.svg."""
-    return [save(recordings(findings, output_names), Path(directory) / "recordings.svg")]
+    """Write the figure as directory/recordings.svg, and the rows with faults as directory/faults.svg if there are any.
+    """
+    written = [save(recordings(findings, output_names), Path(directory) / "recordings.svg")]
+    stretches = next((each.curves["stretches"] for each in findings if "stretches" in each.curves), [])
+    return [*written, save(faults(stretches), Path(directory) / "faults.svg")] if stretches else written
+
+
+@styled
+def faults(stretches: Sequence[Mapping]) -> Figure:
+    """One panel for each fault: the recorded values around its first bad row, with the bad rows marked.
+
+    stretches: with `title`, `output`, `first_row`, `values` (m, None where a cell was empty) and `bad`.
+    """
+    figure, grid = panels(WIDTH, 2.1 * len(stretches), len(stretches), 1)
+    for axes, each in zip(np.ravel(grid), stretches):
+        values = np.array([np.nan if value is None else value for value in each["values"]])
+        rows, bad = each["first_row"] + np.arange(len(values)), np.array(each["bad"], dtype=bool)
+        axes.plot(rows, MM * values, ".-", color=INK, linewidth=0.7, markersize=3)
+        axes.plot(rows[bad], MM * values[bad], "o", color=COLOURS["missing"], markersize=4)
+        axes.set_title(each["title"], loc="left")
+        axes.set(xlabel="row of the file", ylabel=f"{each['output']} (mm)")
+        good = MM * values[~bad & np.isfinite(values)]
+        if len(good) and np.ptp(good) > 0:
+            margin = 1.5 * np.ptp(good)
+            axes.set_ylim(good.min() - margin, good.max() + margin)
+    return figure
 
 
 @styled

@@ -10,13 +10,14 @@ from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.recording_checks.context import Recorded
 from ssmr_torch.recording_checks.coverage import coverage
 from ssmr_torch.recording_checks.decays import decays
+from ssmr_torch.recording_checks.faults import faults
 from ssmr_torch.recording_checks.finding import SEVERITIES, Finding
 from ssmr_torch.recording_checks.held_out import held_out
 from ssmr_torch.recording_checks.signals import delay, dither, noise, sampling
 from ssmr_torch.recording_checks.statics import drift, friction, neutral
 from ssmr_torch.trajectory import TrajectoryDataset, refuse_other_data
 
-CHECKS = (decays, coverage, dither, held_out, noise, sampling, delay, friction, drift, neutral)
+CHECKS = (faults, decays, coverage, dither, held_out, noise, sampling, delay, friction, drift, neutral)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +56,8 @@ class RecordingsReport(DataSheet):
 
 
 def check(data: TrajectoryDataset) -> RecordingsReport:
-    """Check recordings before a fit: decays, range, dither, held-out runs, noise, sampling, delay, friction, drift and
-    the neutral input. Each finding has a number and, if something is wrong, a remedy.
+    """Check recordings before a fit: faults, decays, range, dither, held-out runs, noise, sampling, delay, friction,
+    drift and the neutral input. Each finding has a number and, if something is wrong, a remedy.
 
     data: from `read`, `load` or `trajectories`. The training runs are checked, and nothing is changed. If the runs do
     not show a subject, its severity is "unknown".

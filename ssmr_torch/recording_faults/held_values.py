@@ -40,12 +40,10 @@ def _held(time, y, inputs, names, reach: float) -> np.ndarray:
     bad = np.zeros(y.shape, dtype=bool)
     found = gaps(time, y)
     repeated = np.vstack([np.zeros(y.shape[1], dtype=bool), np.diff(y, axis=0) == 0])
-    none = np.zeros_like(repeated[:1])
-    beside = repeated | np.vstack([repeated[1:], none]) | np.vstack([none, repeated[:-1]])
-    limit = limits(y, np.where(beside, 0.0, found), reach)
-    jumped = np.abs(found) > limit
     for columns in markers(y.shape[1], names):
         same = repeated[:, columns].all(axis=1)
+        beside = same | np.r_[same[1:], False] | np.r_[False, same[:-1]]
+        jumped = np.abs(found) > limits(y, np.where(beside[:, None], 0.0, found), reach)
         slight = np.maximum(STEPS * smallest_step(y[:, columns]), SLIGHT * reach)
         sure = len(columns) > 1 and np.prod(repeated[~same][:, columns].mean(axis=0)) * len(y) < CHANCE
         least = 2 if len(columns) == 1 else 1

@@ -33,8 +33,8 @@ def lost_markers(recording: Recording, rule: str, reach: float) -> Recording:
     row, column = np.argwhere(bad)[0]
     names = recording.columns(bad.any(axis=0))
     verb = "are" if " and " in names else "is"
-    return treated(recording, bad, "lost_markers", rule, f"{names or 'the position'} {verb} {y[row, column]:.6g} m "
-                   "exactly, a value for 'not seen',")
+    return treated(recording, bad, "lost_markers", rule, f"{names or 'the position'} {verb} {1e3 * y[row, column]:.6g} "
+                   "mm exactly, a value for 'not seen',")
 
 
 def _missing_the_line(time, y, same: np.ndarray, reach: float) -> np.ndarray:

@@ -43,13 +43,18 @@ def mended(recordings: Sequence[Recording], rules: FaultRules = RULES, missing: 
         judged = [mend(each, reach) for each in judged]
     judged = slow_cameras(judged, rules.slow_camera)
     reach = usual_reach(judged)
-    judged = [held_values(each, rules.held_values, reach) for each in judged]
+    judged = [each if _slow(each) else held_values(each, rules.held_values, reach) for each in judged]
     if judged:
         usual = np.median([np.median(each.observation, axis=0) for each in judged], axis=0)
         judged = [exchanged_markers(each, rules.exchanged_markers, reach, usual) for each in judged]
     judged = [input_spikes(outliers(each, rules.outliers, reach), rules.outliers) for each in judged]
     mending = iter(judged)
     return [next(mending) if whole else each for each, whole in zip(found, sound)]
+
+
+def _slow(recording: Recording) -> bool:
+    """Whether the recording keeps the repeated values of a slow camera, as its rule says."""
+    return any(note.kind == "slow_camera" and note.done == "kept" for note in recording.notes)
 
 
 def compared(recordings: Sequence[Recording], rest: np.ndarray, rules: FaultRules = RULES, scale: float = 1e-3,

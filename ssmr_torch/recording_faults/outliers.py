@@ -16,6 +16,7 @@ LONGEST = 0.25      # of the rows of a run that such a stretch may have
 AWAY = 0.3          # of the deviation, that the gap across a stretch may have
 NEAR = 6            # rows between two jumps of one stretch of disorder
 DISORDER = 4        # jumps that make one
+FAST, FAR = 4.0, 0.3    # times the 95 % quantile of the steps, and of the reach, that no robot moves in one row
 LASTING, LASTS = 2.0, 0.05  # times the limit of a jump, and of the reach, from which one without return is cut
 
 
@@ -53,22 +54,24 @@ def _left(time: np.ndarray, y: np.ndarray, reach: float) -> tuple[np.ndarray, di
     """(T, p), which values left the motion, and the sizes of jumps without return by row."""
     found = gaps(time, y)
     limit = limits(y, found, reach)
-    jumps = np.flatnonzero((np.abs(found) > limit).any(axis=1))
-    bad, lasting = _ends(time, y, limit), {}
+    steps = np.abs(np.diff(y, axis=0, prepend=y[:1]))
+    fast = steps > np.maximum(FAST * np.quantile(steps, 0.95, axis=0), FAR * reach)
+    jumps = np.flatnonzero(((np.abs(found) > limit) | fast).any(axis=1))
+    bad, lasting = np.zeros(y.shape, dtype=bool), {}
     place = 0
     while place < len(jumps):
         first = jumps[place]
         stop = _return(time, y, found, limit, first, jumps[place + 1:])
         if stop is not None:
             columns = (np.abs(found[[first, stop]]) > limit[[first, stop]]).any(axis=0)
-            bad[first:stop] |= columns
+            bad[first:stop] |= columns if columns.any() else True
             place = int(np.searchsorted(jumps, stop, side="right"))
             continue
         size = float(np.linalg.norm(found[first]))
         if (np.abs(found[first]) > LASTING * limit[first]).any() and size > LASTS * reach:
             lasting[int(first)] = size
         place += 1
-    return bad, lasting
+    return bad | _ends(time, y, limit, bad.any(axis=1)), lasting
 
 
 def _return(time, y, found, limit, first: int, later: np.ndarray) -> int | None:
@@ -76,7 +79,7 @@ def _return(time, y, found, limit, first: int, later: np.ndarray) -> int | None:
     for stop in later[later <= first + BRIDGED]:
         columns = (np.abs(found[[first, stop]]) > limit[[first, stop]]).any(axis=0)
         across, away = _across(time, y, first, stop, columns)
-        if across <= max(AWAY * away, np.linalg.norm(limit[first, columns])) and away > across:
+        if columns.any() and away > across and across <= max(AWAY * away, np.linalg.norm(limit[first, columns])):
             return int(stop)
     close = first
     for count, jump in enumerate(later, start=2):
@@ -88,7 +91,7 @@ def _return(time, y, found, limit, first: int, later: np.ndarray) -> int | None:
     columns = np.abs(found[first]) > limit[first]
     for stop in later[later <= first + LONGEST * len(y)]:
         apart = np.linalg.norm(found[first] + found[stop])
-        if apart <= ALIKE * np.linalg.norm(found[first, columns]) and stop > first + BRIDGED:
+        if columns.any() and apart <= ALIKE * np.linalg.norm(found[first, columns]) and stop > first + BRIDGED:
             return int(stop)
     return None
 
@@ -107,9 +110,9 @@ def _across(time, y, first: int, stop: int, columns: np.ndarray) -> tuple[float,
     return float(np.linalg.norm(miss)), float(away.min())
 
 
-def _ends(time: np.ndarray, y: np.ndarray, limit: np.ndarray) -> np.ndarray:
+def _ends(time: np.ndarray, y: np.ndarray, limit: np.ndarray, known: np.ndarray) -> np.ndarray:
     """(T, p), outliers among the first and last two rows, where only one side is known: they must be farther than any
-    ordinary step.
+    ordinary step. known: (T,), bad rows, next to which nothing is judged.
     """
     bad = np.zeros(y.shape, dtype=bool)
     if len(y) < 2 * FEWEST:
@@ -117,6 +120,8 @@ def _ends(time: np.ndarray, y: np.ndarray, limit: np.ndarray) -> np.ndarray:
     largest = np.quantile(np.abs(np.diff(y, axis=0)), 0.98, axis=0)
     for reverse in (False, True):
         t, z = (time[::-1], y[::-1]) if reverse else (time, y)
+        if known[-6:].any() if reverse else known[:6].any():
+            continue
         for row in (1, 0):
             ahead = np.arange(row + 1, row + 4)
             slope = (z[ahead[0]] - z[ahead[2]]) / (t[ahead[0]] - t[ahead[2]])

@@ -11,7 +11,7 @@ from ssmr_torch.recording_faults.recording import Recording
 
 FAR, ASTRAY = 0.1, 0.2  # of a decay's extent: ends farther from rest are said, or refused
 SETTLED = 0.1       # of its extent, by which a decay may still move in its last fifth
-MOVING = 0.25       # of it, from which a decay gives no rest position
+MOVING = 0.15       # of it, from which a decay gives no rest position
 ELSEWHERE = 6.0     # times the usual scatter of the ends, from which one decay counts as ending elsewhere
 APART = 0.1         # of the extent, that it must be away as well
 ENDS = 10           # last samples whose median is the end
@@ -61,6 +61,8 @@ def refuse_wrong_rest(recordings: Sequence[Recording], rest: np.ndarray, rule: s
     if found:
         said |= _moving(decays, ends, rule)
     settled = np.flatnonzero(ends.moves <= SETTLED * np.maximum(ends.extents, 1e-12))
+    if 2 * len(settled) < len(decays):
+        settled = settled[:0]  # those that seem to rest are at a turning point
     for centred in (False, True):
         group = settled[[decays[place].centred == centred for place in settled]] if len(settled) else settled
         if len(group):
@@ -83,7 +85,7 @@ def _moving(decays: list[Recording], ends: Ends, rule: str) -> dict[str, str]:
         raise ValueError(f"{decays[worst].name}: {sentence}")
     return {each.name: f"still moves at its end, with {1e3 * speed:.3g} mm/s over its last fifth, so it gives a poor "
                        "rest position; record longer, or give rest as a vector"
-            for each, part, speed in zip(decays, share, ends.speeds) if part > SETTLED * 1.5}
+            for each, part, speed in zip(decays, share, ends.speeds) if part > SETTLED}
 
 
 def _unsettled(decays: list[Recording], at: np.ndarray) -> dict[str, str]:

@@ -19,10 +19,15 @@ SHOWN = 24          # rows on either side of the first bad one that are kept for
 def treated(recording: Recording, bad: np.ndarray, fault: str, rule: str, what: str) -> Recording:
     """The recording with its bad values bridged, cut out or kept by the rule, and one note that says so.
 
-    bad: (T, p), whether a value is bad. what: the fault in words, after which the rows and the remedy are said.
+    bad: (T, p), whether a value is bad; rows that were kept before are not said again. what: the
+    fault in words, after which the rows and the remedy are said.
     Raises ValueError for the rule "refuse", and when nothing is left of the run.
     """
+    known = [row for note in recording.notes if note.done == "kept" for row in note.rows]
+    bad = bad & ~np.isin(recording.rows, known)[:, None]
     rows = np.flatnonzero(bad.any(axis=1))
+    if not len(rows):
+        return recording
     said = f"{what} in {rows_said(recording.rows[rows])}"
     if rule == "refuse":
         raise ValueError(f"{recording.name}: {said}; repair them, or set faults.{fault}: "

@@ -41,8 +41,9 @@ def dead_columns(recordings: Sequence[Recording], rule: str) -> list[Recording]:
         _said(f"{each.name}: {text}", "dead_columns", rule)
         found.append(each.noted("dead_columns", f"{text}; kept, as faults.dead_columns says", "kept"))
     if not anywhere.all() and anywhere.any() and found:
-        found[0] = found[0].noted("dead_columns", f"{recordings[0].columns(~anywhere)} never moves in any run; kept, "
-                                  "as faults.dead_columns says", "kept")
+        verb = "move" if " and " in which else "moves"
+        found[0] = found[0].noted("dead_columns", f"{which} never {verb} in any run; kept, leave it out of "
+                                  "columns.observation", "kept")
     return found
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+MOST_STRETCHES = 60
 ACTIONS = ("kept", "dropped", "bridged", "cut", "corrected")
 
 
@@ -34,9 +35,9 @@ class Note:
         return f"{self.run}: {self.said}"
 
     def as_dict(self) -> dict:
-        """Plain values, for the provenance."""
-        return {"run": self.run, "kind": self.kind, "said": self.said, "done": self.done,
-                "rows": stretches(self.rows), "numbers": self.numbers}
+        """Plain values, for the provenance; of the rows, how many they are and the first `MOST_STRETCHES` stretches."""
+        return {"run": self.run, "kind": self.kind, "said": self.said, "done": self.done, "count": len(set(self.rows)),
+                "rows": stretches(self.rows)[:MOST_STRETCHES], "numbers": self.numbers}
 
 
 def stretches(rows: Sequence[int]) -> list[list[int]]:
