@@ -27,8 +27,8 @@ RECORDINGS = {
 class Work:
     """A part of the campaign with a size of its own.
 
-    target: function(count, seed) → rows. size: name of the count in the configuration. kind: put before the kinds of its
-    rows, where these do not say whose they are.
+    target: function(count, seed) → rows. size: name of the count in the configuration. kind: put before the kinds of
+    its rows, where these do not say whose they are.
     """
 
     target: str
