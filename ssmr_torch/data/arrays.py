@@ -27,7 +27,6 @@ from ssmr_torch.trajectory import TrajectoryDataset
 Runs = Sequence[Sequence] | Mapping[str, Sequence]
 
 
-
 def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs = (), test: Runs = (),
                  output_names: Sequence[str] | None = None, input_names: Sequence[str] | None = None,
                  units: Mapping[str, str] | None = None, rest: npt.ArrayLike | None = None,
@@ -68,7 +67,6 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     │  └─ tip: -4.07 … 8 mm
     ├─ inputs: held from sample to sample
     │  └─ cable: 0 … 0 N
-    ├─ rest: 0 mm
     ...
     """
     measured = Units(**{"length": "m"} | _known_units(units))

@@ -79,7 +79,7 @@ def test_a_test_run_that_is_part_of_a_training_run_is_reported_with_its_samples(
 def test_the_report_prints_one_line_for_each_subject_and_is_plain_in_json(robot):
     report = ssmr.check(robot(late=5))
     lines = str(report).splitlines()
-    assert len(lines) == 1 + len(SUBJECTS) and "8 good, 1 warning, 0 missing, 1 unknown" in lines[0]
+    assert len(lines) == 1 + len(SUBJECTS) and "8 good, 2 warning, 0 missing, 1 unknown" in lines[0]
     assert "<table>" in report._repr_html_()
     assert json.loads(json.dumps(report.as_dict()))["delay"]["numbers"]["delay_s"] == pytest.approx(0.05, abs=0.011)
     with pytest.raises(KeyError, match="dither"):
