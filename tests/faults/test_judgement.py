@@ -13,6 +13,7 @@ from ssmr_torch.faults.made_recordings import Robot, made_recordings, small_reco
 from ssmr_torch.faults.outcome import Expected, Found, counts, refusal_faults
 from ssmr_torch.faults.reading import judged
 from ssmr_torch.lazy import found
+from ssmr_torch.recording_faults.rules import FaultRules
 
 
 @pytest.fixture
@@ -136,3 +137,10 @@ def test_a_campaign_with_wrong_outcomes_says_how_many(tmp_path, monkeypatch):
         lambda: [Found("copies", "c5", "refused").row()]]))
     with pytest.raises(FaultsFound, match="1 of 2 faults had a wrong outcome"):
         campaign(tmp_path, {}, progress=False, say=lambda line: None)
+
+
+@pytest.mark.parametrize(("rows", "rule"), [(49, "keep"), (50, "refuse")])
+def test_nothing_is_refused_by_comparison_where_no_run_has_fifty_rows(rows, rule):
+    rules = FaultRules(outliers="refuse").judging(rows)
+    assert rules.dead_columns == rules.moving_decays == rules.copies == rule
+    assert rules.outliers == "refuse" and rules.drift == "keep"
