@@ -20,7 +20,7 @@ def run(config, directory):
 
     name, settings = HydraConfig.get().runtime.choices.benchmark, plain(config)
     if name is None:
-        raise ValueError(listed())
+        raise ValueError(f"no benchmark is named; expected the name of one: {', '.join(NAMES)}")
     rows = tabulate(name, found(f"ssmr_torch.benchmarks.{name}:rows")(**settings), settings, directory,
                     origin_of(config))
     save_result(directory, {"rows": float(len(rows))}, name=name)

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 
 from ssmr_torch.lazy import lazily
 
-__version__ = "0.11.0"
+__version__ = "0.12.0"
 
 if TYPE_CHECKING:
     from ssmr_torch import plants, tasks

@@ -135,6 +135,12 @@ def options(group: str, config_dir: str | Path | None = None) -> list[str]:
                    for name in source.list(group, ObjectType.CONFIG)})
 
 
+def of_groups(words: Sequence[str]) -> list[str]:
+    """Those words of a command line that choose an option of a group, or have no key."""
+    keys = [word.partition("=")[0].lstrip("+~").partition("@")[0] for word in words]
+    return [word for word, key in zip(words, keys) if "=" in word and (not key or options(key))]
+
+
 def settings_lines(config: DictConfig, choices: Mapping) -> list[str]:
     """What a run says first: which row of found settings it takes, or that the defaults hold.
 

@@ -10,7 +10,7 @@ import inspect
 from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from functools import cache
-from importlib import import_module
+from pkgutil import resolve_name
 
 from ssmr_torch.checked_arguments import ranges_of
 from ssmr_torch.command_ranges import OF_ANY, OF_COMMANDS, OF_LIBRARIES
@@ -52,9 +52,9 @@ def _check(key: str, value, ranges: Mapping[str, Range]) -> None:
 def _check_target(key: str, node: Mapping) -> None:
     """Check the arguments of what a `_target_` names."""
     target = node["_target_"]
-    ranges, defaults = declared(target) if isinstance(target, str) else ({}, None)
-    if not isinstance(target, str) or "." not in target:
+    if not isinstance(target, str) or "." not in target or not exists(target):
         raise ValueError(f"{key}._target_ is {shown(target)}; expected the dotted name of a class or function")
+    ranges, defaults = declared(target)
     for name, value in node.items():
         where = f"{key}.{name}"
         if name in OF_HYDRA:
@@ -102,15 +102,30 @@ def _targets(where: str, value) -> Iterator[tuple[str, Mapping]]:
 
 
 @cache
+def exists(target: str) -> bool:
+    """Whether a dotted name names something; True for what only a missing library keeps from being imported."""
+    if target in OF_LIBRARIES:
+        return True
+    try:
+        resolve_name(target)
+    except ModuleNotFoundError as error:
+        return error.name is not None and not f"{target}.".startswith(f"{error.name}.")
+    except (AttributeError, ValueError):
+        return False
+    except ImportError:
+        return True
+    return True
+
+
+@cache
 def declared(target: str) -> tuple[dict[str, Range], Mapping[str, inspect.Parameter] | None]:
     """Ranges that a class or function declares, and its arguments by name; None where it declares no ranges or takes
     any name. Both are empty for what cannot be imported: building it says why.
     """
     if target in OF_LIBRARIES:
         return OF_LIBRARIES[target], None
-    module, _, name = target.rpartition(".")
     try:
-        thing = getattr(import_module(module), name)
+        thing = resolve_name(target)
         parameters = inspect.signature(thing).parameters
     except (ImportError, AttributeError, ValueError, TypeError):
         return {}, None

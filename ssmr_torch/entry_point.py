@@ -18,7 +18,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, MissingMandatoryValue, OmegaConf
 
-from ssmr_torch.configuration import folder, plain_values, register, settings_lines
+from ssmr_torch.configuration import folder, of_groups, plain_values, register, settings_lines
 from ssmr_torch.configuration_check import check_values
 from ssmr_torch.extras import remedy
 from ssmr_torch.interruption import END, belong_to, ended_in_order
@@ -120,7 +120,7 @@ def ended_well(name: str, main, at_a_robot: bool = False):
         except (*OF_THE_COMMAND_LINE, ValueError) as error:  # those of the work are told within it
             if asked == "1":
                 raise
-            raise SystemExit(f"{name}: {in_one_sentence(error, sys.argv[1:])}") from error
+            raise SystemExit(f"{name}: {in_one_sentence(error, of_groups(sys.argv[1:]))}") from error
         except OSError as error:
             raise SystemExit(f"{name}: {in_words(error)}") from error
         finally:

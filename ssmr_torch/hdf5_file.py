@@ -6,16 +6,21 @@ A link in an HDF5 file may lead to another file, and a dataset of a kilobyte on 
 from __future__ import annotations
 
 import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
 import numpy as np
 
 from ssmr_torch.checksum import Damaged
+from ssmr_torch.result_files import written_aside
 
 # A dataset that zlib compressed as far as it can takes a thousandth; recordings stay far below this.
 COMPRESSION = 200
 FREE = 64 * 2 ** 20  # bytes in memory that any file may fill
+IN_MEMORY = 2 ** 28  # bytes
 DEEPEST = 32  # groups within groups
 
 
@@ -43,6 +48,30 @@ def open_hdf5(path: str | Path) -> h5py.File:
         file.close()
         raise
     return file
+
+
+@contextmanager
+def new_hdf5(path: str | Path, size: int, sealed: bool = False) -> Iterator[h5py.File]:
+    """A file to be written, of about `size` bytes, which appears at the end; sealed as in `written_aside`.
+
+    Raises OSError where the disk is full.
+
+    HDF5 itself ends the process there, with a segmentation fault. A file of up to `IN_MEMORY` bytes is therefore made
+    in memory and written at once; for a larger one, the space is asked for first.
+    """
+    with written_aside(path, sealed=sealed) as aside:
+        if size <= IN_MEMORY:
+            with h5py.File(aside, "w", driver="core", backing_store=False) as file:
+                yield file
+                file.flush()
+                image = file.id.get_file_image()
+            aside.write_bytes(image)
+            return
+        with open(aside, "wb") as place:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(place.fileno(), 0, size)
+        with h5py.File(aside, "w") as file:
+            yield file
 
 
 def card_of(file: h5py.File, path: str | Path) -> dict:

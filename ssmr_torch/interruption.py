@@ -38,7 +38,7 @@ class End:
         self.number: int | None = None
         self.remedy, self.further = "the same command starts again", ""
         self.limit: float | None = LIMIT
-        self._last, self._lost = 0.0, False
+        self._last, self._lost, self._turn = 0.0, False, object()
 
     def begin(self, command: str) -> None:
         self.__init__()
@@ -77,10 +77,13 @@ class End:
         return f"{self.command}: ended by {how}; {self.remedy}"
 
     def _force(self, limit: float) -> None:
+        status, turn = self.status, self._turn
         time.sleep(limit)
-        if self.command is not None:
+        still = self.command is not None and self._turn is turn
+        if still:
             print(self.sentence(), file=sys.stderr, flush=True)
-        os._exit(self.status)
+        if still or not threading.main_thread().is_alive():  # else a program goes on after the command
+            os._exit(status)
 
 
 END = End()

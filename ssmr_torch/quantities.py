@@ -37,7 +37,7 @@ NOISE = Number(1e-12, 1e9)
 PLACES = ByName(Anything())  # a node's number, or a place, which the mesh has to have
 OF_RANGE = Number(0.0, 1.0, above=True)
 STAY, HELD = Number(0.0, 1e5, "s"), Number(1e-4, 1e5, "s")
-CANDIDATES = OneOrEach(Number(0.0, 1e12), "attempt")
+CANDIDATES = OneOrEach(Number(0.0, 1e12), "attempt of the cross-validation")
 RIDGE = Either(CANDIDATES, ByName(CANDIDATES), said=f"{CANDIDATES.said}, or a mapping of regressions to them")
 GUARD = {"margin": Number(0.0, 1e3, "1/s"), "reach": Number(1.0, 1e6, above=True), "overdrive": Number(1.0, 100.0)}
 STATES = Either(Whole(1, 500), Text(), said="a whole number from 1 to 500, or a rule such as variance:0.99 or gap")

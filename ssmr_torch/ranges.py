@@ -184,6 +184,8 @@ class ByName(Range):
         if not isinstance(value, Mapping):
             raise ValueError(f"{name} is {shown(value)}; expected {self.said}")
         for key, each in value.items():
+            if not isinstance(key, str):
+                raise ValueError(f"{name} has the name {shown(key)}; expected {self.said}")
             if self.names and key not in self.names:
                 raise ValueError(f"{name} has no {key}; expected {', '.join(self.names)}")
             self.inner(f"{name}.{key}", each)
@@ -222,6 +224,15 @@ class Function(Range):
 
     def fits(self, value) -> bool:
         return callable(value)
+
+
+class Made(Range):
+    """An object, or in a configuration what one is made from."""
+
+    said = "a mapping with a _target_"
+
+    def fits(self, value) -> bool:
+        return value is not None and not is_list(value) and not isinstance(value, (str, bytes, Real))
 
 
 class Anything(Range):

@@ -34,7 +34,7 @@ def in_one_sentence(error: BaseException, words: Sequence[str] = ()) -> str:
     for each in _chain(error):
         parent, key = getattr(each, "parent_node", None), getattr(each, "full_key", None)
         if "is not in struct" in str(each) and key:
-            known = [str(name) for name in parent] if isinstance(parent, Mapping) else []
+            known = [str(name) for name in parent if name != "hydra"] if isinstance(parent, Mapping) else []
             return _no_key(str(key), known)
     if missing := re.search(r"Could not override '([^']+)'\. No match in the defaults list", said):
         return f"{missing[1]} is no group of options of this command; ssmr COMMAND --help lists them"

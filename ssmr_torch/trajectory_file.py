@@ -13,10 +13,10 @@ import h5py
 import numpy as np
 
 from ssmr_torch import checksum
-from ssmr_torch.hdf5_file import card_of, numbers, open_hdf5, text
-from ssmr_torch.result_files import written_aside
+from ssmr_torch.hdf5_file import card_of, new_hdf5, numbers, open_hdf5, text
 from ssmr_torch.run import JITTER_TOLERANCE, KINDS, SPLITS, STRETCH, Run, Trajectory
 
+OF_A_RUN = 2 ** 14  # bytes in the file beside the samples of a run
 FORMAT = "ssmr_torch trajectories 2"
 BEFORE = "ssmr_torch trajectories 1"  # of versions up to 0.11, without a checksum
 CARD = {"length_unit": str, "time_unit": str, "input_unit": str, "output_names": list, "input_names": list,
@@ -75,7 +75,8 @@ def save_runs(path: str | Path, runs: Sequence[Trajectory | StoredTrajectory], r
     """Write runs, their rest position (p,) m, and their card to one HDF5 file, which appears only when it is complete.
     """
     stated = json.dumps({"format": FORMAT, "length_unit": "m", "time_unit": "s", **card})
-    with written_aside(path, sealed=True) as aside, h5py.File(aside, "w") as file:
+    size = sum(run.length for run in runs) * 8 * (1 + len(card["output_names"]) + len(card["input_names"]))
+    with new_hdf5(path, size + OF_A_RUN * (1 + len(runs)), sealed=True) as file:
         file.attrs["card"] = stated
         file["rest"] = rest
         for index, stored in enumerate(runs):

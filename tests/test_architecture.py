@@ -47,7 +47,7 @@ HOMES = {
                   "search/best_row.py"],
     "optuna": ["search/space.py", "search/trials.py"],
     "h5py": ["hdf5_file.py", "trajectory_file.py", "closed_loop/record.py", "commissioning/directory.py",
-             "recording_files/*", "collection/resumption.py", "paper/report_sections.py", "paper/workspace_errors.py",
+             "recording_files/*", "collection/resumption.py", "paper/report_sections.py",
              "data/matlab_reader.py", "faults/container_trials.py"],
     "yaml": ["data/card_file.py", "data/card_text.py", "documents/stray_numbers.py", "faults/made_recordings.py",
              "faults/card_trials.py"],
@@ -89,7 +89,6 @@ TOUCHES_FILES = [
     "deployment/exported_programs.py", "fitting/fit.py", "fitting/checkpoints.py", "fitting/resumption.py",
     "evaluation/*figures.py", "report/html_page.py",
     "paper/job_run.py", "paper/report_sections.py", "paper/reproduction.py",
-    "paper/workspace_errors.py",
     "plants/finite_element/mesh_files.py", "tasks/symbols.py", "closed_loop/rerun_view.py"]
 # paper/ can be deleted; the rules of its rooms go with it.
 if not (PACKAGE / "paper").is_dir():

@@ -213,7 +213,7 @@ def test_a_job_that_fails_leaves_the_rest_of_its_sweep_and_the_table(line):
     done = start("train", "-m", "model.state_dim=99,6", "data.path=collect/trajectories.h5", *QUIET,
                  "hydra.sweep.dir=sweep", cwd=line)
     assert done.returncode == 1 and "train: 1 of 2 jobs failed" in done.stderr and "Traceback" not in done.stderr
-    assert "job 0 failed" in done.stderr and "fewer than the 99 reduced coordinates" in done.stderr
+    assert "\njob 0: a window of" in done.stderr and "fewer than the 99 reduced coordinates" in done.stderr
     with open(line / "sweep" / "sweep.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["job"] for row in rows] == ["1", "0"] and float(rows[0]["validation/rmse"]) > 0

@@ -1,5 +1,8 @@
 """HDF5 files of others: nothing outside them is read, and none fills the memory."""
 
+import subprocess
+import sys
+
 import h5py
 import numpy as np
 import pytest
@@ -82,3 +85,22 @@ def test_a_damaged_and_a_missing_file_are_refused(path):
         open_hdf5(path)
     with pytest.raises(FileNotFoundError, match="no file"):
         open_hdf5(path.with_name("none.h5"))
+
+
+@pytest.mark.parametrize("in_memory", [2 ** 28, 0], ids=["made in memory", "written piece by piece"])
+def test_a_full_disk_is_an_error_and_not_the_end_of_the_process(tmp_path, in_memory):
+    code = f"""
+import resource, numpy as np
+from ssmr_torch import hdf5_file
+hdf5_file.IN_MEMORY = {in_memory}
+resource.setrlimit(resource.RLIMIT_FSIZE, (12000, 12000))
+for size in (1000, 100000):
+    try:
+        with hdf5_file.new_hdf5({str(tmp_path / "new.h5")!r}, size * 8 + 4000) as file:
+            file["x"] = np.arange(float(size))
+        print("written")
+    except OSError as error:
+        print(error.errno)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout.split(), done.stderr) == (0, ["written", "27"], "")

@@ -58,11 +58,13 @@ def test_a_signal_ends_a_command_with_its_status_and_one_message(number, name, w
 def test_a_signal_that_comes_twice_at_once_is_one():
     process = started("""
     try:
+        print("in it", flush=True)
         time.sleep(60)
     finally:
         time.sleep(0.3)
         print("tidied", flush=True)
 """)
+    assert process.stdout.readline() == "in it\n"
     process.send_signal(signal.SIGTERM)
     time.sleep(0.1)
     process.send_signal(signal.SIGTERM)
@@ -129,3 +131,25 @@ def test_handlers_are_as_before_when_the_command_has_ended():
         time.sleep(1)
     assert ended.value.code == 143 and issubclass(Interrupted, KeyboardInterrupt)
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+def test_a_program_that_goes_on_after_the_command_is_not_ended_and_a_hanging_end_is():
+    code = """
+import os, signal, sys, threading, time
+from ssmr_torch.interruption import END, ended_in_order
+try:
+    with ended_in_order("train"):
+        END.limit = 0.5
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(1)
+except SystemExit as end:
+    status = end.code
+if sys.argv[1] == "program":
+    time.sleep(1.5)
+    sys.exit(5)
+threading.Thread(target=time.sleep, args=(60,)).start()
+sys.exit(status)
+"""
+    for how, expected in (("program", 5), ("hangs", 143)):
+        done = subprocess.run([sys.executable, "-c", code, how], capture_output=True, timeout=20)
+        assert done.returncode == expected, done.stderr

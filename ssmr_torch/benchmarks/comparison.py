@@ -18,8 +18,11 @@ import numpy as np
 
 from ssmr_torch.benchmarks.other_solvers import Acados, Unavailable, casadi_rti, ipopt
 from ssmr_torch.benchmarks.tracking_instance import measure, predictive
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.control.mpc import ModelPredictiveController
 from ssmr_torch.control.qpsolvers_adapter import QPSolvers, qpsolvers
+from ssmr_torch.quantities import TEXT
+from ssmr_torch.ranges import Each, Number, OrNone, Whole
 
 # Tight enough for the residuals of 1e-5 that we accept; what the solvers do by themselves differs widely.
 PRECISE = {
@@ -57,6 +60,7 @@ def known() -> dict:
                     for name in sorted(qpsolvers.available_solvers)}
 
 
+@checked(horizons=Each(Whole(1, 500), 1, 100), laps=Number(1e-2, 1e4), solvers=OrNone(Each(TEXT, 0, 1000)))
 def rows(*, horizons: Sequence[int] = (5, 10, 20), laps: float = 6.0,
          solvers: Sequence[str] | None = None) -> Iterator[dict | str]:
     """One row per horizon and solver, and a remark for each that was left out.

@@ -32,8 +32,11 @@ import ssmr_torch as ssmr
 from ssmr_torch.benchmarks import designed_tables as tables
 from ssmr_torch.benchmarks.loop_scores import finite, measured
 from ssmr_torch.benchmarks.robots_under_test import NOMINAL, NOT_TOLD, ROBOTS, Condition, Robot, robot_named
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.closed_loop.simulation import simulate
 from ssmr_torch.control.designed import DesignedController
+from ssmr_torch.quantities import PATH, TEXT
+from ssmr_torch.ranges import Each, OrNone, Whole
 from ssmr_torch.result_files import save_bytes, save_text
 from ssmr_torch.trajectory import TrajectoryDataset
 
@@ -224,6 +227,9 @@ class Trial:
             and (not self.chosen.told or told in self.chosen.told)
 
 
+@checked(folder=PATH, recordings=OrNone(PATH), robots=OrNone(Each(TEXT, 0, 1000)), parts=Each(TEXT),
+         models=OrNone(Each(TEXT, 0, 1000)), conditions=Each(TEXT, 0), told=Each(TEXT, 0), tasks=Each(TEXT, 0),
+         seeds=Whole(1, 10_000))
 def rows(*, folder: str = "outputs/designed", recordings: str | None = None, robots: Sequence[str] | None = None,
          parts: Sequence[str] = ("nominal", "far", "disturbed"), models: Sequence[str] | None = None,
          conditions: Sequence[str] = (), told: Sequence[str] = (), tasks: Sequence[str] = (),

@@ -20,6 +20,9 @@ import numpy as np
 from ssmr_torch.benchmarks.scaling import among_circles
 from ssmr_torch.benchmarks.table import BenchmarkFailed
 from ssmr_torch.benchmarks.tracking_instance import BOUNDS, ModelPlant, oscillators, perturbed, predictive
+from ssmr_torch.checked_arguments import checked
+from ssmr_torch.quantities import TEXT
+from ssmr_torch.ranges import Whole
 
 CHECKPOINTS, LIMIT, MISSING_EVERY = 10, 5.0, 1000
 STATISTICS = Path("/proc/self/statm")
@@ -57,6 +60,7 @@ def endure(steps: int, horizon: int, obstacles: int, qp: str):
             yield k + 1, memory(), cpu, sum(controller.fallbacks.values())
 
 
+@checked(steps=Whole(10, 10**9), horizon=Whole(1, 500), obstacles=Whole(0, 1000), qp=TEXT)
 def rows(*, steps: int = 100_000, horizon: int = 5, obstacles: int = 0, qp: str = "proxqp") -> Iterator[dict | str]:
     """One row per checkpoint: memory, CPU time of the steps since the last one, fallbacks so far.
 

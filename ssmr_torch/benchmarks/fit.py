@@ -19,6 +19,7 @@ import lightning
 import torch
 
 from ssmr_torch import configuration
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.data.datamodule import TrajectoryDataModule
 from ssmr_torch.evaluation.open_loop import compare_open_loop
 from ssmr_torch.fitting.gauss_newton import GaussNewtonFit
@@ -26,6 +27,8 @@ from ssmr_torch.fitting.stability import StabilityGuard
 from ssmr_torch.fitting.training import koopman_least_squares, least_squares
 from ssmr_torch.models.koopman import EDMD
 from ssmr_torch.models.ssmr import SSMR
+from ssmr_torch.quantities import PATH
+from ssmr_torch.ranges import OrNone
 from ssmr_torch.trajectory import TrajectoryDataset
 
 TUNED = {"state_dim": 10, "dynamics_degree": 2, "parametrization_degree": 1, "control_degree": 1}
@@ -100,6 +103,7 @@ def figures(trunk: TrajectoryDataset, manifold: TrajectoryDataset):
         cpu(lambda: compare_open_loop({"SSMR": model}, tested)) for _ in range(4)]
 
 
+@checked(data=OrNone(PATH))
 def rows(*, data: str | None = None) -> Iterator[dict]:
     """One row per figure, CPU s on one thread.   data: .h5 of the trunk's trajectories; None records them."""
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)

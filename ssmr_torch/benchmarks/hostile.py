@@ -21,11 +21,14 @@ import numpy as np
 from ssmr_torch.benchmarks.scaling import SAMPLES, among_circles, window_model
 from ssmr_torch.benchmarks.table import BenchmarkFailed
 from ssmr_torch.benchmarks.tracking_instance import BOUNDS, ModelPlant, oscillators, perturbed, predictive
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.control.actuator import Actuator
 from ssmr_torch.control.disturbance_observer import DisturbanceObserver
 from ssmr_torch.control.kalman_observers import KalmanObserver
 from ssmr_torch.control.static_pregain import StaticPregainController
 from ssmr_torch.models.named_structures import koopman
+from ssmr_torch.quantities import SEED, TEXT
+from ssmr_torch.ranges import Either, OneOf, Whole
 from ssmr_torch.tasks.references import figure_eight
 
 TIMESTEP, NOISE, HALF = 0.01, 3e-5, 0.5
@@ -183,6 +186,7 @@ def _is_fresh(controller, other) -> bool:
     return all((controller(TIMESTEP * k, y).input == other(TIMESTEP * k, y).input).all() for k, y in enumerate(waves))
 
 
+@checked(steps=Whole(1, 10**9), seed=SEED, only=Either(TEXT, OneOf("")))
 def rows(*, steps: int = 100_000, seed: int = 0, only: str = "") -> Iterator[dict | str]:
     """One row per controller, and a remark on what it counted and on every exception.
 

@@ -18,6 +18,7 @@ import numpy as np
 from ssmr_torch import configuration
 from ssmr_torch.benchmarks.robots import kept
 from ssmr_torch.benchmarks.table import BenchmarkFailed
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.closed_loop.simulation import simulate
 from ssmr_torch.control.kalman_observers import KalmanObserver
 from ssmr_torch.control.mpc import ModelPredictiveController
@@ -25,6 +26,8 @@ from ssmr_torch.control.tightening import tightened
 from ssmr_torch.deployment import artifact
 from ssmr_torch.evaluation.metrics import closed_loop_metrics
 from ssmr_torch.fitting.fit import fit
+from ssmr_torch.quantities import LENGTH, NOISE, PATH, TEXT, TRUTH
+from ssmr_torch.ranges import Number, OrNone, Whole
 from ssmr_torch.tasks.obstacles import random_circles
 from ssmr_torch.tasks.symbols import symbol
 from ssmr_torch.trajectory import Trajectory
@@ -86,6 +89,9 @@ def summary(outcomes: list[Outcome]) -> str:
             f"step {1e3 * values[:, 5].max():.3g} ms")
 
 
+@checked(plant=TEXT, folder=OrNone(PATH), kind=TEXT, model=OrNone(PATH), sets=Whole(1, 100_000),
+         first=Whole(0, 1_000_000), half_size=Number(1e-6, 100.0, "m"), duration=Number(1e-2, 1e5, "s"),
+         quantile=Number(1e-6, 1 - 1e-6), noise=LENGTH, chart=TRUTH, process_noise=NOISE, hard=TRUTH)
 def rows(*, plant: str = "slow_manifold", folder: str | None = None, kind: str = "auto", model: str | None = None,
          sets: int = 100, first: int = 0, half_size: float = 0.020, duration: float = 10.0, quantile: float = 0.99,
          noise: float = 3e-5, chart: bool = False, process_noise: float = 1e-3,

@@ -16,8 +16,11 @@ from time import perf_counter, thread_time
 import numpy as np
 
 from ssmr_torch.benchmarks.machine import THREADS
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.plants.diamond import Diamond
 from ssmr_torch.plants.trunk import Trunk
+from ssmr_torch.quantities import TEXT
+from ssmr_torch.ranges import Each, OrNone, Whole
 
 WARM_UP = 20
 CONTINUUM = {"law": "neo_hookean", "mass_distribution": "volume", "scheme": "generalized_alpha"}
@@ -42,6 +45,7 @@ def measure(robot: str, settings: dict, steps: int) -> dict:
             "memory": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "period": 1e3 * plant.timestep}
 
 
+@checked(steps=Whole(1, 10**7), robots=OrNone(Each(TEXT, 0, 1000)))
 def rows(*, steps: int = 300, robots: Sequence[str] | None = None) -> Iterator[dict | str]:
     """One row per plant and linear solver; a remark where the solver is not installed.   robots: None: all.
 

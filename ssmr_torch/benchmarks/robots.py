@@ -18,9 +18,12 @@ import torch
 
 from ssmr_torch import configuration
 from ssmr_torch import data_sheet as sheet
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.evaluation.model_comparison import Comparison
 from ssmr_torch.extras import remedy
 from ssmr_torch.fitting.compare_models import compare
+from ssmr_torch.quantities import PATH, TEXT
+from ssmr_torch.ranges import Each, OrNone
 from ssmr_torch.result_files import save_text
 from ssmr_torch.trajectory import TrajectoryDataset
 
@@ -71,6 +74,7 @@ def row(robot: str, found: Comparison) -> dict:
             "neither best nor tied": "; ".join(behind) or "–"}
 
 
+@checked(folder=OrNone(PATH), robots=Each(TEXT))
 def rows(*, folder: str | None = None, robots: Sequence[str] = ROBOTS) -> Iterator[dict | str]:
     """One row per robot, and a remark for each whose package is not installed.   folder: of the recordings."""
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)

@@ -22,8 +22,11 @@ from ssmr_torch.benchmarks.tracking_instance import (
     perturbed,
     predictive,
 )
+from ssmr_torch.checked_arguments import checked
 from ssmr_torch.models.named_structures import koopman
 from ssmr_torch.models.polynomial import PolynomialModel
+from ssmr_torch.quantities import TEXT
+from ssmr_torch.ranges import Each, Number, Whole
 from ssmr_torch.tasks.obstacles import random_circles
 from ssmr_torch.tasks.references import figure_eight
 
@@ -60,6 +63,8 @@ def among_circles(count: int, laps: float):
     return replace(figure_eight(laps=laps), obstacles=circles)
 
 
+@checked(series=Each(TEXT), laps=Number(1e-2, 1e4), N=Whole(1, 500), qp=TEXT, horizons=Each(Whole(1, 500), 1, 100),
+         states=Each(Whole(1, 500), 1, 100), circles=Each(Whole(0, 1000), 1, 100))
 def rows(*, series: Sequence[str] = SERIES, laps: float = 3.0, N: int = 10, qp: str = "proxqp",
          horizons: Sequence[int] = (3, 5, 10, 15, 20, 30, 40), states: Sequence[int] = (6, 12, 24, 48, 96, 120),
          circles: Sequence[int] = (0, 1, 3, 10, 20, 50, 100)) -> Iterator[dict]:

@@ -10,8 +10,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ssmr_torch.benchmarks.tracking_instance import measure
+from ssmr_torch.checked_arguments import checked
+from ssmr_torch.ranges import Each, Number, Whole
 
 
+@checked(horizons=Each(Whole(1, 500), 1, 100), laps=Number(1e-2, 1e4))
 def rows(*, horizons: Sequence[int] = (5, 10, 20), laps: float = 6.0) -> Iterator[dict]:
     """One row per horizon: CPU and wall time of its steps, ms, fallbacks, and what the loop was worth.
 

@@ -52,8 +52,12 @@ def run_artifact(loaded: Artifact, task, plant, make: Callable, source, *, resid
     `wire.runner.made_of`.   residuals, quantile: see `tighten_by_recordings`.   fixed_margins: the margins were given,
     or the controller has none.   view(task, plant, directory) → what shows the run while it lasts.   options: `seed`,
     `noise_std` and `progress` of `simulate`.
-    Raises ValueError for a plant that is not the one of the training, and for residuals where margins are fixed.
+    Raises ValueError for a plant that is not the one of the training, for residuals where margins are fixed,
+    and for a quantile without residuals.
     """
+    if quantile is not None and residuals is None:
+        raise ValueError(f"quantile is {quantile}, but there are no errors to take it of; give residuals=FILE.h5 as "
+                         "well, or leave quantile out")
     artifact.check_source(loaded, plant)
     if residuals is not None and fixed_margins:
         raise ValueError(f"residuals={residuals} sets the margins of a predictive controller; use controller=scp, and "

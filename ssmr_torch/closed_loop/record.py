@@ -14,7 +14,6 @@ from ssmr_torch import data_sheet as sheet
 from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.evaluation.loop_report import LoopReport, loop_report, natural_frequency
 from ssmr_torch.evaluation.metrics import SETTLING_TIME, max_tracking_error, tracking_rmse
-from ssmr_torch.result_files import written_aside
 
 ARRAYS = ("time", "reference", "observation", "measurement", "input", "fallback", "solve_time", "iterations",
           "violation")
@@ -101,10 +100,13 @@ class ClosedLoopRecord(DataSheet):
         """Write one HDF5 file. The file appears only when it is complete."""
         import h5py
 
+        from ssmr_torch.hdf5_file import new_hdf5
+
         card = {"format": FORMAT, "length_unit": "m", "time_unit": "s", "input_unit": self.input_unit,
                 "tracked": self.tracked, "output_names": self.output_names, "input_names": self.input_names,
                 "provenance": self.provenance}
-        with written_aside(path, sealed=True) as aside, h5py.File(aside, "w") as file:
+        size = 2 * sum(getattr(self, name).nbytes for name in ARRAYS) + 2 ** 20
+        with new_hdf5(path, size, sealed=True) as file:
             file.attrs["card"] = json.dumps(card)
             for name in ARRAYS:
                 file[name] = getattr(self, name)

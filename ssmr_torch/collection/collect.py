@@ -24,7 +24,7 @@ from ssmr_torch.collection.resumption import Recorded, discard_recorded
 from ssmr_torch.keywords import configurable
 from ssmr_torch.plants.base import Plant
 from ssmr_torch.quantities import DURATION, LENGTH, SEED, TRUTH
-from ssmr_torch.ranges import Anything, Each, Either, OrNone, Whole
+from ssmr_torch.ranges import Each, Either, Made, OrNone, Whole
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
 __all__ = ["ControlledRun", "RecordingPlan", "collect", "discard_recorded", "record"]
@@ -33,10 +33,10 @@ DEFAULT_RELEASE = RandomOnOffRamp()
 
 
 @configurable(given=("workers", "directory"))
-@checked(decays=Either(Whole(0, 10_000), Each(Anything(), 0), said="a whole number from 0 to 10000, or excitations"),
+@checked(decays=Either(Whole(0, 10_000), Each(Made(), 0), said="a whole number from 0 to 10000, or excitations"),
          validation_decays=Whole(0, 10_000), test_decays=Whole(0, 10_000), decay_duration=DURATION, noise_std=LENGTH,
          seed=SEED, workers=OrNone(Whole(1, 1024)), progress=TRUTH,
-         controlled=Each(Anything(), 0))
+         controlled=Each(Made(), 0))
 def collect(plant: Plant, *, decays: int | Sequence[Release] = 40, validation_decays: int = 4,
             test_decays: int = 4, decay_duration: float = 5.0, release: Release = DEFAULT_RELEASE,
             controlled: Sequence[ControlledRun] = (), noise_std: float = 0.0, seed: int = 0,

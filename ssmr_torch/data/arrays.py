@@ -27,7 +27,6 @@ from ssmr_torch.trajectory import TrajectoryDataset
 Runs = Sequence[Sequence] | Mapping[str, Sequence]
 
 
-
 def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs = (), test: Runs = (),
                  output_names: Sequence[str] | None = None, input_names: Sequence[str] | None = None,
                  units: Mapping[str, str] | None = None, rest: npt.ArrayLike | None = None,
@@ -68,7 +67,6 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     │  └─ tip: -4.07 … 8 mm
     ├─ inputs: held from sample to sample
     │  └─ cable: 0 … 0 N
-    ├─ rest: 0 mm
     ...
     """
     measured = Units(**{"length": "m"} | _known_units(units))
@@ -77,7 +75,8 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     input_names = _common("input", runs, [run.input for run in runs], input_names)
     clock = ClockRules("t", measured.time, None, None, None, stamps, same_stamp, interval_range, tuple(output_names))
     recordings = [run.recording(output_names, input_names, measured, clock) for run in runs]
-    rules, provenance = FaultRules.of(faults or {}), _provenance(recordings, measured)
+    rules = FaultRules.of(faults or {}).judging(max(len(each.time) for each in recordings))
+    provenance = _provenance(recordings, measured)
     recordings = _without_faults(recordings, input_names, rules, missing, measured)
     origin = np.zeros(len(output_names)) if rest is None else measured.scale("length") * _vector(rest, output_names)
     plausible = Plausible((range[0], range[1]), (interval_range[0], interval_range[1]), largest_input)

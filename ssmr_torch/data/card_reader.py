@@ -43,6 +43,7 @@ def custom(card: str | Path) -> TrajectoryDataset:
     path = Path(card)
     described = read_recording_card(path)
     files = found_files(path, [*described.files, *(pair.outputs for pair in described.pairs)])
+    all_files = [*files, *command_files(described, path.parent, files)]
     runs = _runs(files, described, path.parent)
     described = with_full_names(described, list(runs))
     commands = commands_of(runs, described, path.parent)
@@ -51,7 +52,7 @@ def custom(card: str | Path) -> TrajectoryDataset:
     plausible = Plausible(tuple(described.range), tuple(described.interval_range), described.largest_input)
     # Before the rest position: resting samples are found by how long they last.
     refuse_wrong_clock(recordings, described.units, plausible)
-    rules = described.rules
+    rules = described.rules.judging(max(len(each.time) for each in recordings))
     recordings = mended(moving_decays(recordings, described.columns.input, rules.moving_decays), rules,
                         described.missing)
     rest, assumed = _rest(recordings, described)
@@ -59,8 +60,7 @@ def custom(card: str | Path) -> TrajectoryDataset:
                           described.rest == "last sample of decays")
     rule = SamplingRule(described.sampling, described.timestep, described.irregularity, "refuse",
                         described.minimum_length)
-    sources = digests(path, [*files, *command_files(described, path.parent, files)])
-    provenance = {"reader": "custom", "sources": sources, "assumptions": [
+    provenance = {"reader": "custom", "sources": digests(path, all_files), "assumptions": [
         f"Lengths in {described.units.length}, inputs in {described.units.input}, time in "
         f"{described.units.time}.",
         assumed, "Each input is held until the next sample and acts after the observation of its row.",

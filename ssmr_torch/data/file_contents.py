@@ -15,6 +15,7 @@ from ssmr_torch.data_sheet import DataSheet
 from ssmr_torch.recording_files.reading import read_tables
 from ssmr_torch.recording_files.table import Table
 
+PART = " · "         # between the name of a run and that of its table
 LISTED = 40          # columns of a table that are listed
 
 
@@ -32,14 +33,12 @@ class Contents(DataSheet):
     unreadable: dict[str, str]
 
     @property
-    def runs(self) -> dict[str, Table]:
-        """One table for each run: of several, the one that has most of the positions."""
-        chosen: dict[str, Table] = {}
+    def runs(self) -> dict[str, list[Table]]:
+        """The tables of each run, that with most of the positions first."""
+        found: dict[str, list[Table]] = {}
         for label, table in self.tables.items():
-            name = label.partition(" · ")[0]
-            if name not in chosen or _positions(table) > _positions(chosen[name]):
-                chosen[name] = table
-        return chosen
+            found.setdefault(label.partition(PART)[0], []).append(table)
+        return {name: sorted(tables, key=_positions, reverse=True) for name, tables in found.items()}
 
     def data_sheet(self) -> tuple[str, dict]:
         title = f"{len(self.files)} files, {len(self.runs)} runs"
@@ -64,7 +63,7 @@ def contents(files: Sequence[str | Path], folder: Path | None = None) -> Content
             continue
         for table in read:
             label = f"{stem}:{table.run}" if table.run else stem
-            label += f" · {table.part}" if table.part else ""
+            label += f"{PART}{table.part}" if table.part else ""
             tables[label], of_file[label] = table, path
     if not tables:
         raise ValueError("; ".join(unreadable.values()))

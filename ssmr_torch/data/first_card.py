@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ssmr_torch.data.column_roles import Roles, input_unit, length_unit, roles
-from ssmr_torch.data.file_contents import Contents
+from ssmr_torch.data.file_contents import PART, Contents
 from ssmr_torch.recording_files.table import Table
 
 TEST = re.compile(r"test|check|valid|eval|held", re.IGNORECASE)
@@ -25,20 +25,30 @@ def first_card(found: Contents, folder: Path) -> str:
     Time, observation, input, units, decays (runs whose inputs are still), the rest and the test run are guessed.
     """
     runs = found.runs
-    first = max(runs.values(), key=lambda table: (len(roles(table).input), len(roles(table).observation)))
-    guessed = roles(first)
-    decays = [name for name, table in runs.items() if _is_still(table, guessed.input)]
+    first, guessed, commands = max(map(_whole, runs.values()), key=lambda run: (len(run[1].input),
+                                                                                len(run[1].observation)))
+    decays = [name for name, tables in runs.items() if _is_still(tables, guessed.input)]
     lines = ["# Written by ssmr read. Check every line that ends with a guess; docs/data.md explains the keys."]
     lines += _files(found, folder)
     lines += _columns(first, guessed)
-    lines += _units(first, guessed)
+    lines += _units(first, commands, guessed)
     lines += _rest(first, guessed, decays)
     lines.append(f"decays: {_list(decays)}  {GUESS}runs whose inputs do not change")
     lines += _split([name for name in runs if name not in decays], decays)
     for label in found.tables:
-        if " · " in label:
+        if PART in label:
             lines.append(f"# {label} has a clock of its own: {', '.join(list(found.tables[label].columns)[:8])}")
     return "\n".join(lines) + "\n"
+
+
+def _whole(tables: Sequence[Table]) -> tuple[Table, Roles, Table]:
+    """The table of a run's positions, the roles of its columns, and the table of its inputs, which may be another."""
+    first = tables[0]
+    guessed = roles(first)
+    beside = next((table for table in tables[1:] if roles(table).input), first)
+    if guessed.input or beside is first:
+        return first, guessed, first
+    return first, guessed._replace(input=roles(beside).input), beside
 
 
 def _files(found: Contents, folder: Path) -> list[str]:
@@ -56,9 +66,13 @@ def _columns(table: Table, found: Roles) -> list[str]:
     lines = [f"columns: {{{clock}observation: {_list(found.observation or ['x'])}, input: {_list(inputs)}}}{unsure}"]
     if not found.input:
         lines.append("# No column looks like an input: name those of the commands; decays may do without.")
+    if found.frames and not _has_clock(found):
+        return [line.replace("columns: {", f"columns: {{frame: {_text(found.time)}, ") for line in lines] + [
+            f"rate: {1 / (table.interval or 0.01):.6g}  {GUESS}" + ("as the file says" if table.interval else
+                                                                   "CORRECT IT: frames in 1 s")]
     if not _has_clock(found):
         interval = table.interval or 0.01
-        why = "as the file says" if table.interval else f"CORRECT IT: no column of time was found{_counted(found)}"
+        why = "as the file says" if table.interval else "CORRECT IT: no column of time was found"
         lines.append(f"sampling_time: {interval:.6g}  {GUESS}{why}")
     return lines
 
@@ -67,13 +81,9 @@ def _has_clock(found: Roles) -> bool:
     return found.time is not None and not found.frames and found.unit is not None
 
 
-def _counted(found: Roles) -> str:
-    return f"; {found.time} counts frames" if found.frames else ""
-
-
-def _units(table: Table, found: Roles) -> list[str]:
+def _units(table: Table, commands: Table, found: Roles) -> list[str]:
     length, length_said = length_unit(table, found.observation)
-    inputs, input_said = input_unit(table, found.input)
+    inputs, input_said = input_unit(commands, found.input)
     time = found.unit if _has_clock(found) else "s"
     time_said = not _has_clock(found) or found.time in table.units
     guesses = [name for name, said in (("length", length_said), ("input", input_said), ("time", time_said)) if not said]
@@ -97,12 +107,12 @@ def _split(controlled: Sequence[str], decays: Sequence[str]) -> list[str]:
     return [f"split: {{test: []}}  {GUESS}name a run that the model shall not see"]
 
 
-def _is_still(table: Table, inputs: Sequence[str]) -> bool:
+def _is_still(tables: Sequence[Table], inputs: Sequence[str]) -> bool:
     """Whether the inputs of a run do not change, or it has none, while something moves."""
-    names = [column for name in inputs if (column := table.find(name))]
+    columns = [table.columns[column] for table in tables for name in inputs if (column := table.find(name))]
     with np.errstate(invalid="ignore"):
-        still = all(np.nanmax(table.columns[name]) == np.nanmin(table.columns[name]) for name in names)
-    return still and bool(roles(table).observation)
+        still = all(np.nanmax(column) == np.nanmin(column) for column in columns)
+    return still and bool(roles(tables[0]).observation)
 
 
 def _list(names: Sequence[str]) -> str:

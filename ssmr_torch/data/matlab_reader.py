@@ -7,9 +7,9 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-import scipy.io
 
 from ssmr_torch.hdf5_file import open_hdf5
+from ssmr_torch.recording_files.matlab_5 import load_matlab_5
 
 CELL_NAMES = ("oData", "xData")
 
@@ -87,12 +87,7 @@ class _Variables:
             self.file = open_hdf5(path)
             self.names = {name for name in self.file if not name.startswith("#")}
             return
-        try:
-            loaded = scipy.io.loadmat(path)
-        except Exception as error:
-            raise ValueError(f"{path.name} is not a MATLAB file ({error}); expected version 5 or "
-                             "7.3") from error
-        self.content = {name: value for name, value in loaded.items() if not name.startswith("__")}
+        self.content = load_matlab_5(path)
         self.names = set(self.content)
 
     def __enter__(self) -> _Variables:

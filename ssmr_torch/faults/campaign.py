@@ -25,16 +25,22 @@ RECORDINGS = {
 
 @dataclass(frozen=True)
 class Work:
-    """A part of the campaign with a size of its own: function(size, seed) → rows; unit: what the size counts."""
+    """A part of the campaign with a size of its own.
+
+    target: function(count, seed) → rows. size: name of the count in the configuration. kind: put before the kinds of
+    its rows, where these do not say whose they are.
+    """
 
     target: str
     size: str
+    kind: str = ""
 
 
 OTHERS = {
     "flips": Work("damaged_files:flips", "flips"), "control": Work("garbage_control:steps", "steps"),
-    "wire": Work("hostile_frames:frames", "frames"), "settings": Work("wrong_settings:wrong_settings", "settings"),
-    "interruptions": Work("interrupted_work:interrupted", "moments")}
+    "wire": Work("hostile_frames:frames", "frames"),
+    "settings": Work("wrong_settings:wrong_settings", "settings", "settings: "),
+    "interruptions": Work("interrupted_work:interrupted", "moments", "interrupted: ")}
 GROUPS = (*RECORDINGS, *OTHERS)
 
 
@@ -90,10 +96,11 @@ def _jobs(work: LimitedWork, chosen: list[str], sizes: Mapping[str, int], repeat
         other = OTHERS.get(name)
         if other and sizes.get(other.size) and find_spec(f"{ROOM}.{other.target.partition(':')[0]}"):
             yield _job(work, f"{ROOM}.{other.target}", 20 * limit, (name, f"{sizes[other.size]} {other.size}"),
-                       **{"count": sizes[other.size], "seed": seed})
+                       before=other.kind, count=sizes[other.size], seed=seed)
 
 
-def _job(work: LimitedWork, target: str, limit: float, named: tuple[str, str], **arguments) -> Callable[[], list[dict]]:
+def _job(work: LimitedWork, target: str, limit: float, named: tuple[str, str], before: str = "",
+         **arguments) -> Callable[[], list[dict]]:
     def do() -> list[dict]:
         kind, case = named
         try:
@@ -104,7 +111,7 @@ def _job(work: LimitedWork, target: str, limit: float, named: tuple[str, str], *
             return [{"kind": kind, "case": case, "outcome": "traceback", "said": str(ended)}]
         if not good:
             return [{"kind": kind, "case": case, "outcome": "traceback", "said": result}]
-        return [result] if isinstance(result, dict) else list(result)
+        return [result] if isinstance(result, dict) else [{**row, "kind": before + row["kind"]} for row in result]
 
     return do
 

@@ -8,8 +8,6 @@ from pathlib import Path
 
 from ssmr_torch.result_files import save_text
 
-WAITS = ("serve_controller", "serve_plant", "commission")  # for a robot or a controller elsewhere
-
 
 @dataclass(frozen=True)
 class CommandLine:

@@ -12,7 +12,7 @@ from time import monotonic
 from typing import NamedTuple
 
 from ssmr_torch.command import module_of
-from ssmr_torch.configuration import as_in_a_job
+from ssmr_torch.configuration import as_in_a_job, of_groups
 from ssmr_torch.short_refusals import OF_THE_COMMAND_LINE, in_one_sentence
 
 
@@ -40,7 +40,7 @@ def run_command(command: str, overrides: Sequence[str], directory: Path, limit: 
             try:
                 config = as_in_a_job(command, overrides, directory)
             except (*OF_THE_COMMAND_LINE, ValueError) as error:
-                raise SystemExit(f"{command}: {in_one_sentence(error, overrides)}") from error
+                raise SystemExit(f"{command}: {in_one_sentence(error, of_groups(overrides))}") from error
             directory.mkdir(parents=True, exist_ok=True)
             task(config)
         how, said = "done", ""
@@ -50,6 +50,8 @@ def run_command(command: str, overrides: Sequence[str], directory: Path, limit: 
         how, said = "late", f"still at work after {limit:g} s"
     except Exception:
         how, said = "traceback", traceback.format_exc(limit=-6)
+        if monotonic() - begun >= limit:  # `Late` may leave a library as an exception of its own
+            how, said = "late", f"still at work after {limit:g} s"
     return Ended(how, said, monotonic() - begun)
 
 

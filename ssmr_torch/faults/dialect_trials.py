@@ -180,7 +180,7 @@ def inside_the_last_number(made, rng, folder):
 
 @TRIALS.of("files that were cut")
 def without_a_last_newline(made, rng, folder):
-    return written(folder, joined(lines()).rstrip("\n"), "a sound file without a newline at its end", silent=True)
+    return written(folder, joined(lines()).rstrip("\n"), "a sound file without a newline at its end")
 
 
 @TRIALS.of("files that were cut")

@@ -17,6 +17,7 @@ from ssmr_torch.trajectory import TrajectoryDataset
 LOGS = ("metrics", ".hydra")  # folders of what is written as it comes, which nothing reads
 TIMES = ("fit_time", "step_time", "seconds", "minutes", "solve_time", "mean_solve_time", "time", "provenance", "cost",
          "commit", "python", "duration", "overrides")
+SAID = re.compile(r"in [\d.]+ s of CPU")
 TAKEN = re.compile(r"time|latency|seconds|slow|cpu", re.IGNORECASE)
 
 
@@ -24,6 +25,8 @@ def without_times(value):
     """Plain values without what differs from one run of the same work to the next."""
     if isinstance(value, dict):
         return {key: without_times(each) for key, each in value.items() if key not in TIMES and not TAKEN.search(key)}
+    if isinstance(value, str):
+        return SAID.sub("", value)
     return [without_times(each) for each in value] if isinstance(value, list) else value
 
 

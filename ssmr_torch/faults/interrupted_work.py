@@ -23,7 +23,7 @@ from ssmr_torch.lazy import found
 
 # What ends or spoils the work: signals by name, a disk that takes no more, and a directory that is moved away.
 WAYS = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP", "full disk", "lost directory")
-LIMIT = 120.0   # s of wall time for one run
+LIMIT = 900.0   # s of wall time for one run
 POLLED = 0.002  # s
 SMALLEST, LARGEST = 1 << 8, 1 << 20  # bytes of the largest file that a full disk takes
 PRELOADED = ("hydra", "torch", "lightning", "optuna", *(f"ssmr_torch.{module}" for module in (

@@ -184,8 +184,11 @@ def cost_of(model: TorchModel, module: TrajectoryDataModule) -> dict[str, float]
 def data_card(dataset: TrajectoryDataset, training: tuple) -> dict:
     """Information on the data for a deployed model: names, units, rest, range of inputs and outputs, provenance.
 
-    Raises ValueError if an input never changes.
+    Raises ValueError if an input never changes, or nothing is left to train with.
     """
+    if not training:
+        raise ValueError("no training run is left; record some, or use more decays or a longer controlled_duration of "
+                         "the data module")
     extremes = [run.extremes() for run in training]
     refuse_still_inputs(dataset, extremes)
     outputs, inputs = (np.stack(ranges) for ranges in zip(*extremes))
@@ -204,8 +207,11 @@ def _run(fit: ModelFit, module: TrajectoryDataModule, build_trainer: Callable, d
     keep = ModelCheckpoint(dirpath=directory, filename="best", save_last=True, enable_version_counter=False,
                            monitor=fit.monitor if validated and fit.selects else None,
                            save_on_train_epoch_end=not fit.selects or None)
-    trainer = build_trainer(max_epochs=fit.epochs, callbacks=[keep], logger=loggers, num_sanity_val_steps=0,
-                            check_val_every_n_epoch=1 if fit.selects else fit.epochs + 1)  # it is scored below
+    try:
+        trainer = build_trainer(max_epochs=fit.epochs, callbacks=[keep], logger=loggers, num_sanity_val_steps=0,
+                                check_val_every_n_epoch=1 if fit.selects else fit.epochs + 1)  # it is scored below
+    except TypeError as error:
+        raise ValueError(f"the trainer cannot be built: {error}") from error
     trainer.strategy.checkpoint_io = Checkpoints()
     last = directory / resumption.LAST
     before = {name: value.clone() for name, value in fit.model.state_dict().items()}

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from ssmr_torch.configuration import built, plain
@@ -14,8 +13,9 @@ from ssmr_torch.data.starts import draw_starts, samples_within
 from ssmr_torch.deployment import artifact
 from ssmr_torch.evaluation.measured_rollouts import JoinedRuns
 from ssmr_torch.evaluation.open_loop import HORIZONS, OpenLoopScore, compare_open_loop
+from ssmr_torch.hdf5_file import new_hdf5
 from ssmr_torch.provenance import provenance
-from ssmr_torch.result_files import save_json, written_aside
+from ssmr_torch.result_files import save_json
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,8 @@ def write_open_loop_map(config, path: Path, artifacts: Mapping[str, Path]) -> No
     found = map_open_loop({name: each.model for name, each in loaded.items()}, runs,
                           outputs=dataset.columns(config.outputs), starts=config.starts, seed=config.seed,
                           horizons=list(config.horizons))
-    with written_aside(f"{path}.h5") as aside, h5py.File(aside, "w") as file:
+    size = 2 * found.position.nbytes * (1 + len(found.errors)) + 2 ** 20
+    with new_hdf5(f"{path}.h5", size) as file:
         file["position"] = found.position
         for name, errors in found.errors.items():
             file[f"error/{name}"] = errors

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Self
 
 CHOICES = {
@@ -21,6 +21,8 @@ CHOICES = {
     "copies": ("refuse", "keep"),
 }
 MISSING = ("refuse", "split", "bridge")
+FEW = 50            # rows of the longest run, below which nothing is refused by a comparison
+BY_COMPARISON = ("slow_camera", "dead_columns", "wrong_units", "rest_position", "moving_decays", "copies")
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,15 @@ class FaultRules:
             value, known = getattr(self, field.name), CHOICES[field.name]
             if value not in known:
                 raise ValueError(f"faults.{field.name} is {value!r}; expected one of {', '.join(known)}")
+
+    def judging(self, rows: int) -> Self:
+        """The rules for recordings whose longest run has so many rows.
+
+        Statistics need samples: below `FEW` rows, what is refused by comparison is kept and said.
+        """
+        if rows >= FEW:
+            return self
+        return replace(self, **{fault: "keep" for fault in BY_COMPARISON if getattr(self, fault) == "refuse"})
 
     @classmethod
     def of(cls, given: Mapping[str, str]) -> Self:

@@ -12,6 +12,7 @@ from ssmr_torch.recording_files.cells import is_number, number
 from ssmr_torch.recording_files.table import Table
 from ssmr_torch.recording_files.text_columns import BLANK, Lines, columns_of, split_row
 from ssmr_torch.recording_files.text_file import text_of
+from ssmr_torch.recording_files.union_of_stamps import by_signal
 from ssmr_torch.recording_files.units_said import says_units, unit_called, units_in_names
 
 logger = logging.getLogger(__name__)
@@ -31,12 +32,13 @@ def read(path: Path) -> list[Table]:
     cells; UTF-8, UTF-16, UTF-32 or Windows-1252; lines of comments (#, %, //), `sep=`, empty lines, repeated headers
     and footers anywhere; lines above the names; the last comment as the row of names where numbers follow at once; a
     row of units under the names, or units in the names, `x [mm]`. Numbers are those that `float` would give, to the
-    last bit. Rows are counted from 0, without what is left out.
+    last bit. Rows are counted from 0, without what is left out. Signals that have rows of their own are tables of their
+    own (`union_of_stamps`).
     Raises ValueError for a file that is no text, has no names or no rows, or a row of another length, saying where.
     """
     sheet = _sheet(path)
     columns, notes = columns_of(sheet.lines, path.name)
-    return [Table(columns, units={**units_in_names(columns), **sheet.units}, notes=tuple(notes))]
+    return by_signal(Table(columns, units={**units_in_names(columns), **sheet.units}, notes=tuple(notes)))
 
 
 @dataclass(frozen=True)

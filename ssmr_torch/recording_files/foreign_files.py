@@ -29,7 +29,8 @@ def refuse(head: bytes, path: Path) -> None:
     """Raises ValueError, with the remedy, for a file that no reader takes."""
     said = next((said for mark, said in REFUSED.items() if head.startswith(mark)), None)
     if head.startswith(b"PK") and not is_npz(path):
-        said = SHEET if _holds(path, "xl/", "content.xml") else "a ZIP archive; unpack it first"
+        said = SHEET if _holds(path, "xl/", "content.xml") else \
+            "a ZIP archive, or a damaged one; unpack it first, or copy it again"
     if head.lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(PAGES):
         said = "a page of the web or XML, not a recording; download or export the file again"
     if said:
@@ -65,5 +66,8 @@ def _holds(path: Path, *beginnings: str) -> bool:
 def _members(path: Path) -> list[str]:
     if not path.is_file() or not zipfile.is_zipfile(path):
         return []
-    with zipfile.ZipFile(path) as archive:
-        return archive.namelist()
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return archive.namelist()
+    except (zipfile.BadZipFile, UnicodeError, NotImplementedError):
+        return []

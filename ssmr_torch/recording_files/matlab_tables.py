@@ -9,6 +9,7 @@ import numpy as np
 
 from ssmr_torch.hdf5_file import open_hdf5
 from ssmr_torch.recording_files.foreign_files import is_hdf5
+from ssmr_torch.recording_files.matlab_5 import is_matlab_object, load_matlab_5
 from ssmr_torch.recording_files.nested_arrays import Leaf, leaf, tables_of
 from ssmr_torch.recording_files.table import Table
 
@@ -41,7 +42,7 @@ def read(path: Path) -> list[Table]:
     tree = {name: child for name, value in content.items() if (child := _node(value)) is not None}
     opaque = {name: value.kind for name, value in content.items() if isinstance(value, Opaque)}
     if opaque and not any(isinstance(each, Leaf | dict | list) for each in tree.values()):
-        name, kind = next(iter(opaque.items()))
+        name, kind = next((name[:40], kind) for name, kind in opaque.items())
         raise ValueError(f"{path.name} {REMEDY.format(f'the {kind}' if kind != 'MCOS' else 'the object', name, 'it')}")
     return tables_of(tree, FORMAT, path.name)
 
@@ -75,20 +76,12 @@ def _runs(cells: list, depth: int):
 
 
 def _of_version_5(path: Path) -> dict:
-    import scipy.io
-
-    try:
-        loaded = scipy.io.loadmat(path, simplify_cells=False, struct_as_record=True, chars_as_strings=True)
-    except Exception as error:  # scipy raises what it stumbles upon
-        raise ValueError(f"{path.name} is not a MATLAB file that can be read ({error}); save it again, in version 7.3: "
-                         "save('run.mat', '-v7.3')") from error
-    return {"object" if name == "None" else name: _simple(value) for name, value in loaded.items()
-            if not name.startswith("__")}
+    return {"object" if name == "None" else name: _simple(value) for name, value in load_matlab_5(path).items()}
 
 
 def _simple(value):
     """Structs as dicts, struct arrays and cells as lists, everything else as it is."""
-    if type(value).__name__ in ("MatlabOpaque", "MatlabFunction"):
+    if is_matlab_object(value):
         kinds = [str(each) for each in np.ravel(value.view(np.ndarray))[0]] if value.size and value.dtype.names else []
         return Opaque(next((kind for kind in kinds if kind in OPAQUE), "MCOS"))
     if not isinstance(value, np.ndarray):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ssmr_torch.recording_files.cells import number
 from ssmr_torch.recording_files.marker_tables import Axis, marker_table
 from ssmr_torch.recording_files.table import Table
 from ssmr_torch.recording_files.text_columns import split_row
@@ -36,7 +37,8 @@ def read(path: Path) -> list[Table]:
                          "again with the header information")
     axes = _axes(rows[1:last], rows[last])
     length = unit_called(stated.get("Length Units", ""))
-    rate = next((float(stated[key]) for key in ("Export Frame Rate", "Capture Frame Rate") if stated.get(key)), None)
+    rate = next((found for key in ("Export Frame Rate", "Capture Frame Rate")
+                 if stated.get(key) and (found := number(stated[key])) and found > 0), None)
     names = [axis.name for axis in axes]
     units = {axis.name: unit for axis in axes
              if (unit := {"": length, "error": length, "time": "s"}.get(axis.quantity))}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -22,12 +20,10 @@ def read(path: Path) -> list[Table]:
     try:
         loaded = np.load(path, allow_pickle=False)
         arrays = {name: loaded[name] for name in loaded.files} if hasattr(loaded, "files") else {ARRAY: loaded}
-    except (OSError, EOFError, MemoryError, SyntaxError, UnicodeError, zipfile.BadZipFile, zlib.error, KeyError,
-            NotImplementedError) as error:
-        raise ValueError(f"{path.name} cannot be read ({error}); copy or record it again") from error
-    except ValueError as error:
-        raise ValueError(f"{path.name} cannot be read ({str(error).split(';')[0]}); arrays of objects are not read, so "
-                         "save each column or run as an array of numbers of its own") from error
+    except Exception as error:  # NumPy raises what it stumbles upon
+        remedy = "arrays of objects are not read, so save each column or run as an array of numbers" \
+            if "allow_pickle" in str(error) else "copy or record it again"
+        raise ValueError(f"{path.name} cannot be read ({str(error)[:100]}); {remedy}") from error
     tree: dict = {}
     for name, values in arrays.items():
         found = leaf(values)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ssmr_torch.recording_files.cells import is_number
+from ssmr_torch.recording_files.cells import is_number, number
 from ssmr_torch.recording_files.marker_tables import marker_table, with_time
 from ssmr_torch.recording_files.table import Table
 from ssmr_torch.recording_files.text_columns import split_row
@@ -43,7 +43,8 @@ def read(path: Path) -> list[Table]:
     titled = [name for name in ("FRAME", "TIME") if name in {lines[start - 1].split("\t")[0].upper(), *(
         cell.upper() for cell in said.get("FRAME", []))}] or ["FRAME", "TIME"][:max(cells - len(positions), 0)]
     names = [name.capitalize() for name in titled if cells >= len(positions) + len(titled)] + positions
-    rate = float(said["FREQUENCY"][0].replace(",", ".")) if said.get("FREQUENCY", [""])[0] else None
+    rate = number(" ".join(said.get("FREQUENCY", [])).replace(",", "."))
+    rate = rate if rate and rate > 0 else None
     units = {**dict.fromkeys(positions, UNIT), "Time": "s"}
     table = marker_table(lines[start:], names, units, "\t", path.name, FORMAT, rate, text[-1] not in "\r\n")
     if rate and "Time" not in table.columns:

@@ -66,6 +66,8 @@ def read_tables(path: str | Path) -> list[Table]:
         raise ValueError(f"{path.name} is a folder; expected a file, a folder of rosbag2 with its metadata.yaml, or a "
                          "pattern such as '*.csv'")
     head = b""
+    if not path.is_dir() and not path.is_file():
+        raise ValueError(f"{path} is no file but a device or a pipe; record to a file first")
     if path.is_file():
         if path.stat().st_size == 0:
             raise ValueError(f"{path.name} is empty; expected a header and rows of numbers")

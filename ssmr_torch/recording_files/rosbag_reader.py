@@ -39,8 +39,8 @@ def read(path: Path) -> list[Table]:
     try:
         messages = _messages(path)
     except Exception as error:  # the library raises many kinds for damaged bags
-        raise ValueError(f"{path.name} cannot be read as a rosbag ({type(error).__name__}: {error}); copy or record it "
-                         "again, or convert it: ros2 bag convert") from error
+        raise ValueError(f"{path.name} cannot be read as a rosbag ({type(error).__name__}: {str(error)[:120]}); copy "
+                         "or record it again, or convert it: ros2 bag convert") from error
     tables = [table for topic, rows in messages.items() if (table := _table(topic, rows)) is not None]
     if not tables:
         raise ValueError(f"{path.name} holds no topic of numbers; its topics are {sorted(messages)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO, StringIO
@@ -114,10 +115,12 @@ def _parsed(rows: list[str], width: int, delimiter: str, decimal: str, file: str
 
     body = "\n".join(rows)
     try:
-        frame = pandas.read_csv(BytesIO(body.encode()), sep=delimiter, decimal=decimal, header=None,
-                                names=range(width + 1), index_col=False, na_values=list(QUICK), skipinitialspace=True,
-                                low_memory=False, skip_blank_lines=False)
-    except pandas.errors.ParserError as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pandas.errors.ParserWarning)  # cells beyond the names would be left out
+            frame = pandas.read_csv(BytesIO(body.encode("utf-8", "replace")), sep=delimiter, decimal=decimal,
+                                    header=None, names=range(width + 1), index_col=False, na_values=list(QUICK),
+                                    skipinitialspace=True, low_memory=False, skip_blank_lines=False)
+    except (pandas.errors.ParserError, pandas.errors.ParserWarning) as error:
         _refuse_ragged(body, width, delimiter, file)
         raise ValueError(f"{file} cannot be read ({error}); look for quotation marks without a partner") from error
     # Missing cells are empty ones to pandas, and only those at the end can be missing.

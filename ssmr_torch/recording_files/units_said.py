@@ -26,7 +26,7 @@ CASED = {"mN": ("mN", "millinewton", "millinewtons"), "Nm": ("Nm", "N·m", "N*m"
 NAMES = {spelling: unit for table in (SPELT, CASED) for unit, spellings in table.items() for spelling in spellings}
 DIMENSIONS = {"length": ("m", "cm", "mm", "um", "in", "ft"), "force": ("N", "mN", "kN", "lbf"),
               "time": ("s", "ms", "us", "ns", "min")}
-IN_NAME = re.compile(r"^(?P<name>.*?\S)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\)|\{(?P<curly>[^{}]*)\})$")
+IN_NAME = re.compile(r"(?:\[([^\[\]]{1,30})\]|\(([^()]{1,30})\)|\{([^{}]{1,30})\})$")
 SINCE = re.compile(r"^(\w+) since .*$")
 BLANK = ("", "-", "–", "none", "n/a")  # what stands in a row of units where there is none
 BRACKETS = str.maketrans("", "", "[](){}<>")
@@ -42,9 +42,11 @@ def unit_called(said: object) -> str | None:
 
 def split_unit(name: str) -> tuple[str, str | None]:
     """A column's name without its unit, and the unit: ("x", "mm") of "x [mm]", ("x", None) of "x"."""
-    found = IN_NAME.match(name.strip())
-    unit = found and unit_called(next(filter(None, found.group("square", "round", "curly")), ""))
-    return (found.group("name"), unit) if unit and unit != "1" else (name.strip(), None)
+    name = name.strip()
+    found = IN_NAME.search(name[-40:])
+    unit = found and unit_called(next(filter(None, found.groups()), ""))
+    bare = name.removesuffix(found.group()).strip() if unit and unit != "1" else ""
+    return (bare, unit) if bare else (name, None)
 
 
 def units_in_names(names: Iterable[str]) -> dict[str, str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ssmr_torch.recording_files.cells import number
 from ssmr_torch.recording_files.marker_tables import TIME, marker_table, with_time, without_subject
 from ssmr_torch.recording_files.table import Table
 from ssmr_torch.recording_files.text_columns import split_row
@@ -53,7 +54,9 @@ def _section(section: str, lines: list[str], file: str, open_end: bool) -> Table
     delimiter = max(",;\t", key=lines[head].count)
     above, components, units = ([cell.strip() for cell in split_row(line, delimiter)]
                                 for line in (lines[head - 1], lines[head], lines[head + 1]))
-    rate = float(lines[0].strip(' ,;\t"'))
+    rate = number(lines[0].strip(' ,;\t"'))
+    if not rate or not rate > 0:
+        raise ValueError(f"{file}: the rate of the section {section} is {lines[0][:40]!r}; expected frames per second")
     filled, owners = "", []
     for place in range(len(components)):
         filled = above[place] if place < len(above) and above[place] else filled
@@ -63,14 +66,16 @@ def _section(section: str, lines: list[str], file: str, open_end: bool) -> Table
              for owner, component in zip(owners, components)]
     said = {name: unit for name, cell in zip(names, units) if cell and (unit := unit_called(cell))}
     table = marker_table(lines[head + 2:], names, said, delimiter, file, FORMAT, rate, open_end, part=section)
-    return replace(table, part=section)
+    if not np.isfinite(table.numbers(list(table.columns)[:2], file)).all() or any(
+            column.dtype.kind == "O" for column in list(table.columns.values())[:2]):
+        raise ValueError(f"{file}, section {section}: a row has no frame number; export it again")
+    return table
 
 
 def _joined(tables: list[Table]) -> list[Table]:
     """The tables with a column of Time; those of a multiple of the first one's rate beside it."""
     first, others = tables[0], []
-    frame, sub = list(first.columns)[:2]
-    frames = first.columns[frame]
+    frames = first.columns[next(iter(first.columns))]
     columns, units = dict(first.columns), dict(first.units)
     for table in tables[1:]:
         names = list(table.columns)
@@ -83,7 +88,7 @@ def _joined(tables: list[Table]) -> list[Table]:
         own = dict(table.units)
         seconds = (table.columns[names[0]] - frames[0]) * first.interval + table.columns[names[1]] * table.interval
         others.append(replace(table, columns=with_time(table.columns, own, seconds), units=own))
-    seconds = (frames - frames[0]) * first.interval + np.nan_to_num(first.columns[sub]) * 0
+    seconds = (frames - frames[0]) * first.interval
     columns = columns if TIME in columns else with_time(columns, units, seconds)
     return [replace(first, columns=columns, units=units, part=first.part if others else ""), *others]
 

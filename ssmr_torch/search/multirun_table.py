@@ -8,7 +8,7 @@ from hydra.experimental.callback import Callback
 
 from ssmr_torch.result_files import read_json, save_csv
 
-NAMED = 3  # failed jobs in a message
+NAMED = 2  # failed jobs in a message
 
 
 class MultirunTable(Callback):
@@ -69,11 +69,12 @@ def refuse_failed(name: str, directory: Path, before: dict[Path, int]) -> None:
     """Raises SystemExit where a job has failed whose result is not one of before."""
     new = {file.parent.name for file, when in written(directory).items() if before.get(file) != when}
     jobs = [job for job in results(directory) if job["job"] in new]
-    failed = [f"job {job['job']} failed: {job['metrics']['failed']}" for job in jobs if "failed" in job["metrics"]]
+    failed = [f"job {job['job']}: {job['metrics']['failed'].removeprefix(f'{name}: ')}"
+              for job in jobs if "failed" in job["metrics"]]
     if failed:
-        more = [f"… and {len(failed) - NAMED} more"] if len(failed) > NAMED else []
-        raise SystemExit("\n".join([f"{name}: {len(failed)} of {len(jobs)} jobs failed; the others are in {directory}",
-                                    *failed[:NAMED], *more]))
+        which = f", the first {NAMED} of them so" if len(failed) > NAMED else ""
+        raise SystemExit("\n".join([f"{name}: {len(failed)} of {len(jobs)} jobs failed{which}; all are in "
+                                    f"{directory / 'sweep.csv'}", *failed[:NAMED]]))
 
 
 def gather(directory: Path) -> list[dict]:

@@ -48,7 +48,7 @@ class Search:
                              "does not read; use another hydra.sweep.dir")
         self.directory.mkdir(parents=True, exist_ok=True)
         with self._alone():
-            storage = JournalStorage(JournalFileBackend(str(self.directory / "search.journal")))
+            storage = JournalStorage(Journal(self.directory / "search.journal"))
             self.study = optuna.create_study(study_name=STUDY, storage=storage, direction=direction,
                                              load_if_exists=True)
             self._check_same(sorted(each for each in arguments if not each.startswith(OF_ONE_PROCESS)))
@@ -60,7 +60,7 @@ class Search:
         processes that ran them with those that they started and waited for; so slow and fast models get the same
         effort, on a busy machine the same as on an idle one. None: no limit. Raises what job raises.
         """
-        with self._at_work():
+        with self._at_work(), self._told_best():
             while len(finished := self.finished()) < trials:
                 taken = sum(trial.user_attrs.get(CPU, 0.0) for trial in finished) / 60
                 if minutes is not None and taken > minutes:
@@ -79,6 +79,10 @@ class Search:
             score = float(job(trial.number, overrides_of(trial.params, self.fixed)))
         except Exception:
             self.study.tell(trial, state=TrialState.FAIL)
+            raise
+        except KeyboardInterrupt:
+            with self._alone():
+                self._try_again(self.study.get_trials(False)[trial.number])
             raise
         trial.set_user_attr(CPU, cpu_seconds() - begun)
         worst = math.inf if self.direction == "minimize" else -math.inf
@@ -120,13 +124,72 @@ class Search:
             with self._alone():
                 for trial in self.study.get_trials(False, (TrialState.RUNNING,)):
                     if not _lives(workers / str(trial.user_attrs.get(WORKER))):
-                        self.study.tell(trial.number, state=TrialState.FAIL)
-                        self.study.enqueue_trial(trial.params, {PLACE: trial.user_attrs.get(PLACE, trial.number),
-                                                                "again": trial.number})
+                        self._try_again(trial)
             try:
                 yield
             finally:
                 (workers / self.name).unlink()
+
+
+    def _try_again(self, trial: FrozenTrial) -> None:
+        """Tell a trial that was interrupted as failed, and have its values tried by the next one."""
+        self.study.tell(trial.number, state=TrialState.FAIL)
+        self.study.enqueue_trial(trial.params, {PLACE: trial.user_attrs.get(PLACE, trial.number),
+                                                "again": trial.number})
+
+    @contextmanager
+    def _told_best(self) -> Iterator[None]:
+        """Say the best trial where the search is interrupted."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            finished = self.finished()
+            if finished:
+                best = self.study.best_trial
+                print(f"\nthe best of {len(finished)} finished trials is number {best.number} with {best.value:.4g}: "
+                      f"{' '.join(overrides_of(best.params, {}))}", flush=True)
+            raise
+
+
+class Journal(JournalFileBackend):
+    """Optuna's journal, from which an end at any moment takes only what was not written yet.
+
+    A line that a full disk or a killed process has left incomplete is removed; its lock is free when its process ends.
+    """
+
+    def __init__(self, path: Path):
+        self._path, self._lock_of_process = path, _JournalLock(path.with_name(f"{path.name}.lock"))
+        super().__init__(str(path), self._lock_of_process)
+        self._mend()
+
+    def append_logs(self, logs: list[dict]) -> None:
+        try:
+            super().append_logs(logs)
+        except BaseException:
+            self._mend()
+            raise
+
+    def _mend(self) -> None:
+        self._lock_of_process.acquire()
+        try:
+            os.truncate(self._path, self._path.read_bytes().rfind(b"\n") + 1)
+        finally:
+            self._lock_of_process.release()
+
+
+class _JournalLock:  # with what `BaseJournalFileLock` of Optuna has
+    def __init__(self, path: Path):
+        self._path, self._handle = path, None
+
+    def acquire(self) -> bool:
+        handle = os.open(self._path, os.O_CREAT | os.O_RDWR)
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        self._handle = handle
+        return True
+
+    def release(self) -> None:
+        os.close(self._handle)
+        self._handle = None
 
 
 def _again(trial: FrozenTrial) -> bool:

@@ -73,15 +73,15 @@ def test_what_is_in_a_file_is_said_with_ranges_rates_missing_cells_and_what_is_o
         assert sentence in said, sentence
 
 
-def test_runs_within_a_file_are_listed_each_and_a_file_without_clock_gets_a_sampling_time(tmp_path):
+def test_runs_within_a_file_are_listed_each_and_a_column_of_whole_steps_is_taken_for_frames(tmp_path):
     with h5py.File(tmp_path / "session.h5", "w") as file:
         for run, (y, u) in {"r1": (SWING, 0 * STEPS), "r2": (DRIVEN, STEPS), "r3": (DRIVEN, STEPS)}.items():
             file[f"{run}/t"], file[f"{run}/p"], file[f"{run}/c"] = np.arange(300), y, u
     found = contents(["session.h5"], tmp_path)
     card = yaml.safe_load(first_card(found, tmp_path))
     assert list(found.runs) == ["session:r1", "session:r2", "session:r3"] and card["decays"] == ["session:r1"]
-    assert card["columns"] == {"observation": ["p_0", "p_1", "p_2"], "input": ["c_0", "c_1"]}
-    assert card["sampling_time"] == 0.01 and "t counts frames" in first_card(found, tmp_path)
+    assert card["columns"] == {"frame": "t", "observation": ["p_0", "p_1", "p_2"], "input": ["c_0", "c_1"]}
+    assert card["rate"] == 100 and "CORRECT IT: frames in 1 s" in first_card(found, tmp_path)
 
 
 def test_inputs_without_a_telling_name_are_known_by_being_held():
@@ -114,3 +114,31 @@ def test_the_command_prints_what_it_found_and_never_overwrites_a_card(tmp_path, 
             assert command.main() == 0
             assert expected in (printed := capsys.readouterr().out) and "columns: {time: t" in printed
             assert (tmp_path / "out" / "contents.txt").is_file()
+
+
+def test_topics_of_a_rosbag_with_two_rates_are_paired_by_the_first_card(tmp_path):
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kinds = store.types
+    layout = kinds["std_msgs/msg/MultiArrayLayout"]([], 0)
+    for name, positions, inputs in (("release", SWING, 0 * STEPS), ("inputs", DRIVEN, STEPS)):
+        with Writer(tmp_path / name, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+            tip = writer.add_connection("/tip", "geometry_msgs/msg/PointStamped", typestore=store)
+            cmd = writer.add_connection("/cmd", "std_msgs/msg/Float64MultiArray", typestore=store)
+            for k, (position, levels) in enumerate(zip(1e-3 * positions, inputs)):
+                stamp = 1_700_000_000_000_000_000 + 10_000_000 * k
+                header = kinds["std_msgs/msg/Header"](kinds["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9)), "")
+                point = kinds["geometry_msgs/msg/PointStamped"](header, kinds["geometry_msgs/msg/Point"](*position))
+                writer.write(tip, stamp + 2_000_000, store.serialize_cdr(point, tip.msgtype))
+                if k % 2 == 0:
+                    array = kinds["std_msgs/msg/Float64MultiArray"](layout, levels.copy())
+                    writer.write(cmd, stamp, store.serialize_cdr(array, cmd.msgtype))
+    found = contents(["release", "inputs"], tmp_path)
+    (tmp_path / "card.yaml").write_text(first_card(found, tmp_path))
+    dataset = custom(tmp_path / "card.yaml")
+    assert dataset.input_names == ("cmd/data/0", "cmd/data/1") and dataset.timestep == pytest.approx(0.01)
+    np.testing.assert_allclose(dataset[1].input[:-2], STEPS[:-2][:len(dataset[1].input) - 2], atol=1e-12)
+    np.testing.assert_allclose(dataset[1].observation, 1e-3 * DRIVEN[:dataset[1].length] - dataset.rest, atol=1e-9)

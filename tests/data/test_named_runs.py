@@ -10,6 +10,7 @@ import yaml
 
 from ssmr_torch.data.card_reader import custom
 from ssmr_torch.data.card_text import content_of
+from ssmr_torch.recording_files.reading import read_tables
 
 K = np.arange(20)
 M = np.c_[K / 100, 5 + 0.1 * K, -3 + 0.05 * K, 120 - 0.02 * K * K, 0.01 * K, 0.02 * K]
@@ -192,6 +193,61 @@ def test_attributes_of_hdf5_scale_the_numbers_and_say_their_unit(attributes, val
             read(tmp_path, files=["m.h5"], columns=NESTED)
     else:
         assert read(tmp_path, files=["m.h5"], columns=NESTED)[0].observation[-1, 0] == pytest.approx(1.9e-3, abs=1e-9)
+
+
+def test_a_sampling_time_that_differs_from_the_files_is_refused(tmp_path):
+    head = "NO_OF_FRAMES\t20\nFREQUENCY\t100\nDATA_INCLUDED\t3D\nMARKER_NAMES\ttip\tbase\n"
+    (tmp_path / "m.tsv").write_text(head + "".join("\t".join(map(str, [*row[1:], 0])) + "\n" for row in M))
+    card = {"files": ["m.tsv"], "columns": {"observation": ["tip_X", "tip_Y", "tip_Z"], "input": ["base_X", "base_Y"]}}
+    assert read(tmp_path, **card, sampling_time=0.01)[0].length == 20
+    with pytest.raises(ValueError, match="m.tsv: the file says a sampling time of 0.01 s, the card 0.02 s"):
+        read(tmp_path, **card, sampling_time=0.02)
+
+
+def matlab_7_3(path, fill):
+    with h5py.File(path, "w", userblock_size=512) as file:
+        fill(file)
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file".ljust(116) + b" " * 8 + b"\x00\x02IM")
+
+
+def stored(file, values, kind="double"):
+    """A reference to values among the hidden ones of a MATLAB 7.3 file, transposed as MATLAB does."""
+    hidden = file.require_group("#refs#")
+    item = hidden.create_dataset(f"v{len(hidden)}", data=np.asarray(values).T)
+    item.attrs["MATLAB_class"] = np.bytes_(kind)
+    return item.ref
+
+
+def test_runs_of_structs_and_cells_of_matlab_7_3_are_read(tmp_path):
+    def structs(file):
+        for name, columns in {"t": slice(0, 1), "p": slice(1, 4), "c": slice(4, 6)}.items():
+            refs = [[stored(file, rows[:, columns])] for rows in (M, OTHER)]
+            file.create_dataset(f"runs/{name}", data=np.array(refs, dtype=h5py.ref_dtype), dtype=h5py.ref_dtype)
+        file["runs"].attrs["MATLAB_class"] = np.bytes_("struct")
+
+    def cells(file):
+        refs = [[stored(file, rows[:, columns]) for rows in (M, OTHER)] for columns in (slice(0, 1), slice(1, 4))]
+        item = file.create_dataset("oData", data=np.array(refs, dtype=h5py.ref_dtype), dtype=h5py.ref_dtype)
+        item.attrs["MATLAB_class"] = np.bytes_("cell")
+
+    matlab_7_3(tmp_path / "s.mat", structs)
+    matlab_7_3(tmp_path / "c.mat", cells)
+    dataset = read(tmp_path, files=["s.mat"], columns=NESTED)
+    assert [run.name for run in dataset] == ["s:1", "s:2"]
+    np.testing.assert_allclose(dataset[1].input, OTHER[:, 4:])
+    tables = read_tables(tmp_path / "c.mat")
+    assert [table.run for table in tables] == ["1", "2"]
+    np.testing.assert_array_equal(tables[1].numbers(["t", "y_0", "y_1", "y_2"], "c"), OTHER[:, :4])
+
+
+def test_an_object_of_matlab_is_refused_with_the_command_that_converts_it(tmp_path):
+    def table(file):
+        file.create_dataset("log", data=np.zeros((1, 6), np.uint32)).attrs["MATLAB_class"] = np.bytes_("timetable")
+
+    matlab_7_3(tmp_path / "o.mat", table)
+    with pytest.raises(ValueError, match=r"o.mat holds the timetable 'log', .*writetable\(timetable2table\(T\), 'run"):
+        read(tmp_path, files=["o.mat"], columns=NESTED)
 
 
 def test_a_line_that_was_cut_stands_in_the_provenance_and_the_log(tmp_path, caplog):

@@ -174,7 +174,7 @@ def test_missing_runs_of_a_stage_are_named(known, solve_stages, calibration, tan
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"calibration": "both"}, "calibration is 'both'; expected one of \\('joint', 'frozen'\\)"),
+    ({"calibration": "both"}, "calibration is 'both'; expected"),
     ({"input_alignment": "none"}, "input_alignment is 'none'"), ({"manifold_data": ""}, "manifold_data is ''"),
     ({"parametrization_fit": "curved"}, "parametrization_fit is 'curved'"),
     ({"detection_delays": 0}, "detection_delays is 0; expected at least 1")])
@@ -184,13 +184,13 @@ def test_options_that_do_not_exist_are_refused(known, options, message):
 
 
 def test_cross_validation_with_a_single_fold_is_refused():
-    with pytest.raises(ValueError, match="folds is 1; cross-validation needs at least 2"):
+    with pytest.raises(ValueError, match="folds is 1; expected"):
         LeastSquaresFit(SSMRLeastSquares(SSMR(2, 2, 4, 1)), folds=1)
 
 
 @pytest.mark.parametrize("ridge", [-1.0, float("nan"), [0.0, -1e-6], {"default": 0.0, "dynamics": [float("inf")]}, []])
 def test_an_invalid_ridge_is_refused_before_any_data_are_read(ridge):
-    with pytest.raises(ValueError, match="ridge is .*; expected 0 or more, one value or several"):
+    with pytest.raises(ValueError, match=r"ridge\S* is .*; expected a number from 0 to"):
         LeastSquaresFit(SSMRLeastSquares(SSMR(2, 2, 4, 1)), ridge)
 
 

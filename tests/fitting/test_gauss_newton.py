@@ -124,7 +124,7 @@ def test_a_model_that_diverges_under_larger_inputs_is_corrected(known, tmp_path,
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"epochs": -1}, "epochs -1, starts 400"), ({"horizon": 0.0}, "horizon 0.0 s"),
+    ({"epochs": -1}, "epochs is -1; expected"), ({"horizon": 0.0}, "horizon is 0.0 s; expected"),
     ({"trained": ["everything"]}, "expected one or more of")])
 def test_impossible_settings_are_refused(options, message):
     with pytest.raises(ValueError, match=message):

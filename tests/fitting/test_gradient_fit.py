@@ -195,7 +195,7 @@ def test_the_state_of_a_fit_is_stored_in_its_checkpoint():
 
 @pytest.mark.parametrize("options", [{"first_share": 0.0}, {"patience": 0}, {"minutes": -1.0}, {"weight_decay": -1.0}])
 def test_impossible_settings_are_refused(options):
-    with pytest.raises(ValueError, match="expected positive numbers, first_share ≤ 1"):
+    with pytest.raises(ValueError, match=f"{next(iter(options))} is .*; expected"):
         GradientFit(SSMR(2, 1, 2), **options)
 
 

@@ -198,5 +198,5 @@ def test_missing_runs_and_odd_timesteps_are_refused(solve_stages):
         solve_stages(KoopmanLeastSquares(model), pendulum_runs())
     with pytest.raises(ValueError, match="0.025 s, which is 2.5 times the data's, 0.01 s"):
         KoopmanLeastSquares(Koopman(2, 2, timestep=0.025)).sampled_every(0.01)
-    with pytest.raises(ValueError, match="kinds is .*; expected one or more of"):
+    with pytest.raises(ValueError, match=r"kinds\[0\] is 'all'; expected"):
         KoopmanLeastSquares(Koopman(2, 2), kinds=("all",))

@@ -98,7 +98,7 @@ def test_cutting_runs_into_segments_changes_nothing(solve_stages):
 def test_impossible_options_and_missing_runs_are_refused(solve_stages):
     model = ControlAugmentedSSMR(2, 2, 2, 1)
     for options, message in (({"chart": "best"}, "chart is 'best'"), ({"manifold_data": "some"}, "manifold_data is"),
-                             ({"future": 0}, "future is 0 samples")):
+                             ({"future": 0}, "future is 0; expected")):
         with pytest.raises(ValueError, match=message):
             PolynomialLeastSquares(model, **options)
     for options, message in (({"chart": "tangent_space"}, "2 values in the window, fewer than the 3"),

@@ -301,8 +301,8 @@ def test_data_without_controlled_runs_or_a_plant_are_refused_through_training(pl
 
 @pytest.mark.parametrize(("options", "message"), [
     ({"modes": 0}, "modes is 0"), ({"modes": "gap"}, 'modes is \'gap\'; expected a number, or a rule'),
-    ({"points": 0}, "0 points"), ({"points": 10, "snapshots": 5}, "10 points out of 5 snapshots"),
-    ({"blend": -1.0}, "blend -1.0"), ({"measurement_noise": 0.0}, "measurement_noise 0.0 m; expected no negative")])
+    ({"points": 0}, "points is 0; expected"), ({"points": 10, "snapshots": 5}, "10 points out of 5 snapshots"),
+    ({"blend": -1.0}, "blend is -1.0; expected"), ({"measurement_noise": 0.0}, "measurement_noise is 0.0; expected")])
 def test_impossible_options_are_refused_with_the_numbers(options, message):
     with pytest.raises(ValueError, match=message):
         PlantLinearization(None, **options)

@@ -191,6 +191,17 @@ def test_a_cut_file_of_utf_16_loses_its_last_character_only(tmp_path):
     np.testing.assert_array_equal(table.numbers(NAMES, "m.csv")[:20], M)
 
 
+def test_signals_with_rows_of_their_own_are_tables_of_their_own_and_hidden_markers_are_not(tmp_path):
+    """As PlotJuggler writes topics of two rates; and as two markers are hidden at different times."""
+    rows = [f"{k / 100},{k},{2 * k},," if k % 3 else f"{k / 100},,,{k}," for k in range(60)]
+    (tmp_path / "m.csv").write_text(text("__time,/tip/x,/tip/y,/cmd/0,", rows))
+    tip, cmd = sorted(read_tables(tmp_path / "m.csv"), key=lambda table: -table.length)
+    assert list(tip.columns) == ["__time", "/tip/x", "/tip/y"] and tip.part == "tip" and tip.length == 40
+    assert list(cmd.columns) == ["__time", "/cmd/0"] and cmd.columns["/cmd/0"].tolist() == list(range(0, 60, 3))
+    hidden = [f"{k},{'' if 10 < k < 20 else k},{'' if 15 < k < 40 else k}" for k in range(60)]
+    assert len(read_tables(tmp_path / "m.csv")) == 2 and read(tmp_path, text("t,a,b", hidden)).length == 60
+
+
 def test_what_is_left_out_above_the_names_is_logged(tmp_path, caplog):
     caplog.set_level(logging.INFO, "ssmr_torch")
     read(tmp_path, "Rig A\nRate,100\n" + text())

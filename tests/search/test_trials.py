@@ -167,3 +167,36 @@ def test_a_score_that_is_not_a_number_is_the_worst_and_an_error_ends_the_search(
     with pytest.raises(RuntimeError, match="no such key"):
         search(tmp_path / "broken").run(broken, trials=1)
     assert search(tmp_path / "broken").study.get_trials(False)[0].state is TrialState.FAIL
+
+
+def test_an_interrupted_trial_is_told_as_failed_at_once_and_the_best_one_is_said(tmp_path, capsys):
+    seen = []
+
+    def interrupted(number, overrides):
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+        return bowl(seen)(number, overrides)
+
+    with pytest.raises(KeyboardInterrupt):
+        search(tmp_path).run(interrupted, trials=9)
+    states = [trial.state for trial in search(tmp_path).study.get_trials(False)]
+    assert states == [*3 * [TrialState.COMPLETE], TrialState.FAIL, TrialState.WAITING]
+    assert "the best of 3 finished trials is number" in capsys.readouterr().out
+
+
+def test_a_journal_that_a_full_disk_has_cut_is_mended(tmp_path):
+    seen, journal = [], tmp_path / "search.journal"
+    search(tmp_path).run(bowl(seen), trials=3)
+    whole = journal.read_bytes()
+    journal.write_bytes(whole + b'{"op_code": 4, "worker_id"')
+    search(tmp_path).run(bowl(seen), trials=4)
+    assert journal.read_bytes().startswith(whole) and len(seen) == 4
+
+
+def test_the_lock_of_a_killed_process_does_not_keep_the_next_one_waiting(tmp_path):
+    search(tmp_path).run(bowl([]), trials=1)
+    (tmp_path / "search.journal.lock").unlink()
+    (tmp_path / "search.journal.lock").symlink_to(tmp_path / "search.journal")  # as version 0.11 has left it
+    begun = time.monotonic()
+    search(tmp_path).run(bowl([]), trials=2)
+    assert time.monotonic() - begun < 10

@@ -206,7 +206,12 @@ def _node(mesh: TetrahedralMesh, marker: str, place: int | Sequence[float]) -> i
             raise ValueError(f"marker {marker!r} is {place!r}; expected a node's number from 0 to "
                              f"{len(mesh.nodes) - 1}, or a point, three numbers in m")
         return int(place)
-    return mesh.nearest_node(finite_vector(place, 3, f"marker {marker!r}"))
+    node = mesh.nearest_node(finite_vector(place, 3, f"marker {marker!r}"))
+    away = float(np.linalg.norm(mesh.nodes[node] - np.asarray(place, dtype=np.float64)))
+    if away > 0.5 * mesh.size:
+        raise ValueError(f"marker {marker!r} is {away:.3g} m from the nearest node of a body of {mesh.size:.3g} m; "
+                         "expected a point on the body, three numbers in m")
+    return node
 
 
 def _refuse_loose(mesh: TetrahedralMesh, clamped: np.ndarray) -> None:
