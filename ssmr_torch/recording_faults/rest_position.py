@@ -12,9 +12,10 @@ from ssmr_torch.recording_faults.recording import Recording
 FAR, ASTRAY = 0.1, 0.2  # of a decay's extent: ends farther from rest are said, or refused
 SETTLED = 0.1       # of its extent, by which a decay may still move in its last fifth
 MOVING = 0.15       # of it, from which a decay gives no rest position
+STILL = 4.0         # times their last motion, that settled decays must end away from rest to be judged
 ELSEWHERE = 6.0     # times the usual scatter of the ends, from which one decay counts as ending elsewhere
 APART = 0.1         # of the extent, that it must be away as well
-ENDS = 10           # last samples whose median is the end
+ENDS = 10           # last samples whose median is the end, or the last fifth of a short decay
 
 
 class Ends(NamedTuple):
@@ -30,7 +31,7 @@ def ends_of(decays: Sequence[Recording], rest: np.ndarray) -> Ends:
     """Where and how the decays end."""
     moved = [each.observation[np.isfinite(each.observation).all(axis=1)] - (0.0 if each.centred else rest)
              for each in decays]
-    at = np.array([np.median(y[-ENDS:], axis=0) for y in moved])
+    at = np.array([np.median(y[-min(ENDS, max(2, len(y) // 5)):], axis=0) for y in moved])
     extents = np.array([np.linalg.norm(np.ptp(y, axis=0)) for y in moved])
     fifths = [y[-max(4, len(y) // 5):] for y in moved]
     moves = np.array([_motion(y) for y in fifths])
@@ -108,7 +109,7 @@ def _away(decays: list[Recording], ends: Ends, rest: np.ndarray, rule: str, scal
     apart = np.linalg.norm(ends.at - middle, axis=1)
     usual = float(np.median(apart)) if len(decays) > 1 else 0.0
     said: dict[str, str] = {}
-    if away > max(FAR * extent, 3 * usual):
+    if away > max(FAR * extent, 3 * usual, STILL * float(np.median(ends.moves))):
         text = _far(decays[0], middle, extent, rest, scale, unit)
         if away > ASTRAY * extent and rule != "keep":
             raise ValueError(f"the decays{text}; correct it, or set faults.rest_position: keep")

@@ -10,6 +10,7 @@ from ssmr_torch.recording_estimates.response import filtered
 from ssmr_torch.recording_faults.continuity import extent
 from ssmr_torch.recording_faults.recording import Recording
 from ssmr_torch.recording_faults.responses import Part, modes_of, parts
+from ssmr_torch.recording_faults.rules import FEW
 
 FACTOR = 4.0        # by which a run's response may differ from that of the others
 AGREES = 0.6        # correlation with the response of the others, from which their sizes can be compared
@@ -22,34 +23,28 @@ WORDS = {10: "a tenth", 100: "a hundredth", 1000: "a thousandth"}
 def dead_columns(recordings: Sequence[Recording], rule: str) -> list[Recording]:
     """The recordings, with a note on columns that never move in a run, or in any.
 
-    Raises ValueError for them unless the rule is "keep".
+    Raises ValueError for them unless the rule is "keep". Runs of less than `rules.FEW` rows are not judged.
     """
-    moving = {each.name: (np.nanmax(each.observation, axis=0) > np.nanmin(each.observation, axis=0))
-              for each in recordings}
+    moving = {each.name: (np.max(each.observation, axis=0) > np.min(each.observation, axis=0)) for each in recordings}
     anywhere = np.any(list(moving.values()), axis=0)
-    if not anywhere.all() and anywhere.any():
-        which = recordings[0].columns(~anywhere)
-        _said(f"{which} never {'move' if ' and ' in which else 'moves'} in any run: a marker that was lost, or a "
-              "direction that the robot does not have; leave it out of columns.observation", "dead_columns", rule)
     found = []
     for each in recordings:
         dead = anywhere & ~moving[each.name]
-        if not dead.any() or not moving[each.name].any():
+        if not dead.any() or not moving[each.name].any() or len(each.time) < FEW:
             found.append(each)
             continue
         text = f"{each.columns(dead)} never moves in this run, but in others; leave the run out"
-        _said(f"{each.name}: {text}", "dead_columns", rule)
+        if rule != "keep":
+            raise ValueError(f"{each.name}: {text}, or set faults.dead_columns: keep")
         found.append(each.noted("dead_columns", f"{text}; kept, as faults.dead_columns says", "kept"))
-    if not anywhere.all() and anywhere.any() and found:
-        verb = "move" if " and " in which else "moves"
-        found[0] = found[0].noted("dead_columns", f"{which} never {verb} in any run; kept, leave it out of "
-                                  "columns.observation", "kept")
+    if anywhere.any() and not anywhere.all() and max(len(each.time) for each in recordings) >= FEW:
+        which = recordings[0].columns(~anywhere)
+        text = (f"{which} never {'move' if ' and ' in which else 'moves'} in any run: a marker that was lost, or a "
+                "direction that the robot does not have; leave it out of columns.observation")
+        if rule != "keep":
+            raise ValueError(f"{text}, or set faults.dead_columns: keep")
+        found[0] = found[0].noted("dead_columns", text, "kept")
     return found
-
-
-def _said(text: str, fault: str, rule: str) -> None:
-    if rule != "keep":
-        raise ValueError(f"{text}, or set faults.{fault}: keep")
 
 
 def wrong_units(recordings: Sequence[Recording], rest: np.ndarray, rule: str) -> list[Recording]:
