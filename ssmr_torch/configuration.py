@@ -144,8 +144,12 @@ def of_groups(words: Sequence[str]) -> list[str]:
 def settings_lines(config: DictConfig, choices: Mapping) -> list[str]:
     """What a run says first: which row of found settings it takes, or that the defaults hold.
 
-    choices: option by group. Raises ValueError for settings=found without a robot.
+    choices: option by group. Raises ValueError for settings=found without a robot, and for an option of module that
+    there is not; that group may lack the name of a model.
     """
+    module = choices.get("module")
+    if module not in (None, choices.get("model"), *options("module")):
+        raise ValueError(f"module={module} is no option; the options are {', '.join(options('module'))}")
     return list(found_settings.lines(config.get("found"), choices, lambda robot, model: model in options(
         f"{option_tables.OF_MODELS}{robot}")))
 

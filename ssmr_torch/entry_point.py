@@ -189,7 +189,8 @@ def look_here() -> None:
 
 def refuse(message: str, directory: Path, error: Exception, expected: bool) -> float:
     """End a single run here; record a job of a multirun as failed, with an infinite metric: the others go on."""
-    if HydraConfig.get().mode != RunMode.MULTIRUN:
+    full = isinstance(error, OSError) and error.errno in FULL  # none of the others would find a place, either
+    if full or HydraConfig.get().mode != RunMode.MULTIRUN:
         raise SystemExit(message) from error
     logging.getLogger(__name__).error(message, exc_info=None if expected else error)
     save_result(directory, {"failed": message})

@@ -43,6 +43,7 @@ def custom(card: str | Path) -> TrajectoryDataset:
     path = Path(card)
     described = read_recording_card(path)
     files = found_files(path, [*described.files, *(pair.outputs for pair in described.pairs)])
+    all_files = [*files, *command_files(described, path.parent, files)]
     runs = _runs(files, described, path.parent)
     described = with_full_names(described, list(runs))
     commands = commands_of(runs, described, path.parent)
@@ -59,8 +60,7 @@ def custom(card: str | Path) -> TrajectoryDataset:
                           described.rest == "last sample of decays")
     rule = SamplingRule(described.sampling, described.timestep, described.irregularity, "refuse",
                         described.minimum_length)
-    sources = digests(path, [*files, *command_files(described, path.parent, files)])
-    provenance = {"reader": "custom", "sources": sources, "assumptions": [
+    provenance = {"reader": "custom", "sources": digests(path, all_files), "assumptions": [
         f"Lengths in {described.units.length}, inputs in {described.units.input}, time in "
         f"{described.units.time}.",
         assumed, "Each input is held until the next sample and acts after the observation of its row.",

@@ -17,8 +17,9 @@ from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 logger = logging.getLogger(__name__)
 
 SHORTEST = 10       # samples that must be left of a run
-APART = 2           # samples by which the lag of a run must differ from that of all, beyond both intervals
-MOST = 20           # runs that are looked at one by one
+APART = 2           # samples by which the lag of a run must differ from that of most, beyond its own interval
+DISTINCT = 1.5      # times its own error, at the lag of most
+MOST = 40           # runs that are looked at one by one
 
 
 def with_lag(dataset: TrajectoryDataset, rule: str | float = "keep", told: bool = True) -> TrajectoryDataset:
@@ -34,26 +35,23 @@ def with_lag(dataset: TrajectoryDataset, rule: str | float = "keep", told: bool 
     if rule not in ("keep", "remove"):
         lags = {run.name: float(rule) for run in moving}
         return _shifted(dataset, lags, [_note(moving, float(rule), None, step, "corrected")] if rule else [])
-    training = [run for run in moving if run.split != "test"] or moving
-    found = _of(training, step)
-    others = _others(moving, found, step)
-    if others:  # which spoil what all have in common
-        odd = [run.name for run, _ in others]
-        found = _of([run for run in training if run.name not in odd] or training, step)
-        others = _others(moving, found, step)
-    common = [run for run in moving if run.name not in [other.name for other, _ in others]]
+    others = _others(moving, step)
+    odd = [run.name for run, _ in others]  # which would spoil what the rest has in common
+    rest = [run for run in moving if run.name not in odd]
+    found = _of([run for run in rest if run.split != "test"] or rest, step)
     if rule == "keep":
-        notes = [_note(common, found.samples * step, found, step, "kept")] if found.significant and common else []
-        notes += [_note([run], lag.samples * step, lag, step, "kept") for run, lag in others]
+        notes = [_note(rest, found.samples * step, found, step, "kept")] if found.significant and rest else []
+        notes += [_note([run], lag.samples * step, lag, step, "kept") for run, lag in others if lag.samples]
         return _noted(dataset, notes)
     if found.samples is None:
         raise ValueError("input_lag is remove, but these recordings do not tell a lag, since their inputs change too "
                          "slowly; give it in s, or record ten seconds of input steps")
-    lags = {run.name: found.samples * step for run in moving}
+    lags = {run.name: found.samples * step for run in rest if found.significant}
     lags |= {run.name: lag.samples * step for run, lag in others}
-    notes = [_note(common, found.samples * step, found, step, "corrected")] if found.samples and common else []
-    return _shifted(dataset, lags, notes + [_note([run], lag.samples * step, lag, step, "corrected")
-                                            for run, lag in others])
+    notes = [_note(rest, found.samples * step, found, step, "corrected")] if lags and found.significant else []
+    notes += [_note([run], lag.samples * step, lag, step, "corrected") for run, lag in others if lag.samples]
+    return _shifted(dataset, lags, notes or [Note(_named(moving), "input lag", "input_lag is remove, but no lag is "
+                                                  "clear; nothing was shifted", "kept", (), {"lag_s": 0.0})])
 
 
 def shifted(run: Trajectory, lag: float) -> Trajectory:
@@ -81,27 +79,26 @@ def _of(runs: Sequence[Trajectory], step: float) -> Lag:
     return lag_of([(run.observation, run.input) for run in runs], step)
 
 
-def _others(moving: Sequence[Trajectory], common: Lag, step: float) -> list[tuple[Trajectory, Lag]]:
-    """Runs whose own lag is clearly another than that of all."""
-    if len(moving) < 2 or len(moving) > MOST or common.samples is None:
+def _others(moving: Sequence[Trajectory], step: float) -> list[tuple[Trajectory, Lag]]:
+    """Runs whose own lag is clearly another than that of most."""
+    if not 2 <= len(moving) <= MOST:
         return []
-    found = []
-    for run in moving:
-        own = _of([run], step)
-        if own.samples is None or abs(own.samples - common.samples) < APART:
-            continue
-        there = np.interp(common.samples, own.lags, own.error)
-        apart = own.low - APART >= common.high or own.high + APART <= common.low
-        if apart and there > 1.5 * own.error.min():
-            found.append((run, own))
-    return found
+    own = [(run, lag) for run, lag in ((run, _of([run], step)) for run in moving) if lag.samples is not None]
+    usual = sorted((lag.samples for _, lag in own), key=abs)[(len(own) - 1) // 2] if own else 0
+    return [(run, lag) for run, lag in own if abs(lag.samples - usual) >= APART and not
+            lag.low - APART < usual < lag.high + APART
+            and np.interp(usual, lag.lags, lag.error) > DISTINCT * lag.error.min()]
+
+
+def _named(runs: Sequence[Trajectory]) -> str:
+    names = [run.name for run in runs]
+    return ", ".join(names) if len(names) <= 4 else f"{', '.join(names[:3])} and {len(names) - 3} more runs"
 
 
 def _note(runs: Sequence[Trajectory], lag: float, found: Lag | None, step: float, done: str) -> Note:
-    names = [run.name for run in runs]
-    named = ", ".join(names) if len(names) <= 4 else f"{', '.join(names[:3])} and {len(names) - 3} more runs"
-    between = "" if found is None else (f" ({samples(abs(found.samples))}, between {1e3 * found.low * step:.3g} and "
-                                        f"{1e3 * found.high * step:.3g} ms)")
+    low, high = ((found.low - 1) * step, (found.high + 1) * step) if found is not None else (lag, lag)
+    between = "" if found is None else (f" ({samples(abs(found.samples))}, between {1e3 * low:.3g} and "
+                                        f"{1e3 * high:.3g} ms)")
     if done == "corrected":
         side = "late" if lag > 0 else "early"
         said = f"the inputs, {1e3 * abs(lag):.3g} ms {side}{between}, are shifted to where they act"
@@ -111,8 +108,8 @@ def _note(runs: Sequence[Trajectory], lag: float, found: Lag | None, step: float
     else:
         said = (f"the motion comes {-1e3 * lag:.3g} ms{between} after its inputs, by a delay of the robot or of the "
                 f"log; set input_lag: remove, or {lag:.4g}, to shift them, or give the model delays")
-    numbers = {"lag_s": lag} | ({} if found is None else {"low_s": found.low * step, "high_s": found.high * step})
-    return Note(named, "input lag", said, done, (), numbers)
+    numbers = {"lag_s": lag} | ({} if found is None else {"low_s": low, "high_s": high})
+    return Note(_named(runs), "input lag", said, done, (), numbers)
 
 
 def _shifted(dataset: TrajectoryDataset, lags: dict[str, float], notes: list[Note]) -> TrajectoryDataset:

@@ -7,8 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ssmr_torch.recording_checks.delay import Delay, command_delay
 from ssmr_torch.recording_checks.noise import Noise, measurement_noise
+from ssmr_torch.recording_clocks.lag import Lag, lag_of
+from ssmr_torch.recording_clocks.onset import Onset, Signals, onset_of
 from ssmr_torch.recording_estimates.modes import Modes, slow_modes
 from ssmr_torch.trajectory import Trajectory, TrajectoryDataset
 
@@ -57,5 +58,13 @@ class Recorded:
         return measurement_noise(self.training or self.runs)
 
     @cached_property
-    def delay(self) -> Delay:
-        return command_delay(self.of("train", "controlled"))
+    def delay(self) -> Onset:
+        return onset_of(self._signals)
+
+    @cached_property
+    def lag(self) -> Lag:
+        return lag_of(self._signals, self.dataset.timestep)
+
+    @property
+    def _signals(self) -> list[Signals]:
+        return [(run.observation, run.input) for run in self.of("train", "controlled")]

@@ -8,6 +8,7 @@ import numpy as np
 
 from ssmr_torch.recording_checks.context import Recorded
 from ssmr_torch.recording_checks.finding import GOOD, LOOK, MISSING, UNTOLD, Finding, graded, millimetres
+from ssmr_torch.recording_clocks.lag import Lag
 from ssmr_torch.trajectory import Trajectory
 
 SAMPLES, FEWEST = 20.0, 8.0         # per period, or per time constant times 2π, of the fastest slow mode
@@ -56,10 +57,12 @@ def delay(recorded: Recorded) -> Finding:
     if not recorded.of("train", "controlled"):
         return Finding(subject, UNTOLD, "There is no controlled training run.", "Record runs under inputs.",
                        {"samples": None})
+    if found.samples is None and recorded.lag.significant:
+        found = found._replace(samples=-recorded.lag.samples)
     if found.samples is None:
         return Finding(subject, UNTOLD, "The inputs change too slowly to show when the robot responds.",
                        "Record ten seconds of input steps, or add dither.", {"samples": None}, curves)
-    numbers = {"samples": found.samples, "delay_s": found.samples * step}
+    numbers = {"samples": found.samples, "delay_s": found.samples * step} | _lag(recorded.lag, step)
     said = f"The robot moves {found.samples} samples ({1e3 * found.samples * step:.3g} ms) after a command."
     if found.samples == 0:
         return Finding(subject, GOOD, "The robot responds to a command at the next sample: no delay.", "", numbers,
@@ -68,9 +71,17 @@ def delay(recorded: Recorded) -> Finding:
         return Finding(subject, LOOK, f"The robot moves {-found.samples} samples ({-1e3 * found.samples * step:.3g} "
                        "ms) before the command.",
                        "The inputs were logged late, or a controller reacted to the robot: shift the input rows so "
-                       "that input[k] is held from observation[k] on.", numbers, curves)
+                       "that input[k] is held from observation[k] on, as input_lag: remove does.", numbers, curves)
     return Finding(subject, LOOK if found.samples * step < 0.2 else MISSING, said,
-                   f"Shift the inputs by {found.samples} rows, or give the model as many delays.", numbers, curves)
+                   f"Shift the inputs by {found.samples} rows (input_lag: remove), or give the model as many delays.",
+                   numbers, curves)
+
+
+def _lag(found: Lag, step: float) -> dict:
+    """The shift of the inputs with which they predict the outputs best, s; positive where they stand late."""
+    if found.samples is None:
+        return {"lag_s": None}
+    return {"lag_s": found.samples * step, "lag_low_s": (found.low - 1) * step, "lag_high_s": (found.high + 1) * step}
 
 
 def dither(recorded: Recorded) -> Finding:

@@ -146,9 +146,14 @@ def _one_of_each(name: str, stamps: Stamps, same_stamp: str) -> Stamps:
 
 def _sorts(time: np.ndarray, at: int, step: float, first: int = 0) -> bool:
     """Whether sorting makes the stamps around a fall even."""
-    reach = 2 * int(np.ceil((time[max(first, at - 2 * FAR):at].max() - time[at]) / step)) + 4
-    around = np.sort(time[max(first, at - reach):at + reach])
-    return bool(np.abs(np.diff(around) / step - 1).max() <= EVEN)
+    reach = int(np.ceil((time[max(first, at - 2 * FAR):at].max() - time[at]) / step)) + 2
+    for wider in (2, 4, 8, 16):
+        around = np.sort(time[max(first, at - wider * reach):at + wider * reach])
+        if np.abs(np.diff(around) / step - 1).max() <= EVEN:
+            return True
+        if wider * reach > 4 * FAR:
+            break
+    return False
 
 
 def _goes_on(motion: np.ndarray, row: int) -> bool:

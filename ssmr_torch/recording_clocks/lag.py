@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ssmr_torch.recording_clocks.onset import Signals, onset_of
+
 PAST = 6                # past outputs from which a prediction starts
 AHEAD, AHEAD_S = 4, 0.02    # samples that it predicts ahead at least, and s
 REACH = 0.6             # s, of lags to either side
@@ -17,9 +19,8 @@ TELLING = 0.05          # share of the error that the inputs of the best lag mus
 CLEAR, CLEAR_ONE = 0.05, 0.5    # share of the error by which the best lag must be better than none; one of 1 sample
 SURE = 3.0              # standard errors over the stretches, of what is significant
 LIKE = 2.0              # standard errors within which a lag is as good as the best
+NEAR = 12               # samples before the lag at which the motion may begin
 RIDGE = 1e-9
-
-Signals = tuple[np.ndarray, np.ndarray]  # observation (T, p) and input (T, m) at even times
 
 
 class Lag(NamedTuple):
@@ -55,14 +56,36 @@ def lag_of(runs: Sequence[Signals], interval: float, reach: float = REACH) -> La
     ahead = max(AHEAD, round(AHEAD_S / interval))
     found = _best(lags, *_errors([_thinned(y, u, every) for y, u in runs], lags, max(AHEAD, ahead // every)))
     if every == 1:
-        return found
+        return _without_slow_response(runs, found)
     if found.samples is None:
         return found._replace(lags=every * lags)
     at = every * found.samples
     near = np.arange(max(-farthest, at - 2 * every), min(farthest, at + 2 * every) + 1)
     exact = _best(near, *_errors(runs, near, ahead))
     significant = found.significant or exact.significant
-    return exact._replace(significant=significant, lags=every * lags, error=found.error)
+    return _without_slow_response(runs, exact._replace(significant=significant, lags=every * lags, error=found.error))
+
+
+def _without_slow_response(runs: Sequence[Signals], found: Lag) -> Lag:
+    """The lag at which the motion begins, where it grows over some samples after each input.
+
+    An actuator that follows slowly looks like a delay, but answers at once: the inputs at the lag are not all that act.
+    """
+    if not found.significant:
+        return found
+    moved = [_moved(y, u, found.samples) for y, u in runs]
+    before = onset_of(moved, -NEAR).samples
+    if before is None or before >= 0:
+        return found
+    begins = found.samples - before
+    crossed = found.samples < 0 <= begins
+    return found._replace(samples=0 if crossed else begins, high=max(found.high, begins), significant=not crossed)
+
+
+def _moved(y: np.ndarray, u: np.ndarray, lag: int) -> Signals:
+    """The signals with the inputs shifted to where they act."""
+    first, last = max(0, -lag), len(y) - max(0, lag)
+    return y[first:last], u[first + lag:last + lag]
 
 
 def _thinned(y: np.ndarray, u: np.ndarray, every: int) -> Signals:

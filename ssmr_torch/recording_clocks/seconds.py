@@ -21,11 +21,17 @@ from ssmr_torch.recording_clocks.disorder import (
 )
 from ssmr_torch.recording_clocks.frame_numbers import frames, suspected, uncounted
 from ssmr_torch.recording_clocks.gaps import gaps
-from ssmr_torch.recording_clocks.time_units import TIME_UNITS, exact_seconds, refuse_implausible
+from ssmr_torch.recording_clocks.time_units import (
+    TIME_UNITS,
+    exact_seconds,
+    refuse_implausible,
+    refuse_implausible_rate,
+)
 from ssmr_torch.recording_files.note import Note
 from ssmr_torch.recording_files.table import Table
 
 APART = FAR / 2     # intervals between two runs of one file, so that they are cut there
+SAME_RATE = 0.01    # share by which the rates of a file and of its card may differ
 ALREADY = 1e-4      # intervals by which stamps may be moved that are even already
 
 
@@ -44,7 +50,11 @@ def clock_of(table: Table, name: str, file: str, rules: ClockRules) -> Clock:
             raise ValueError(f"{file} has no clock: name its column of time, columns.time, or of frame numbers, "
                              "columns.frame with rate, or give sampling_time")
         rows = np.arange(table.length)
-        return Clock(interval * rows, rows, tuple(uncounted(table, name, (*rules.outputs, *rules.inputs))))
+        notes = uncounted(table, name, (*rules.outputs, *rules.inputs))
+        if table.interval is not None and abs(interval / table.interval - 1) > SAME_RATE:
+            notes.append(Note(name, "another rate", f"the file says {1 / table.interval:.6g} Hz, the card's "
+                              f"sampling_time {1 / interval:.6g} Hz; leave it out to take the file's", "kept"))
+        return Clock(interval * rows, rows, tuple(notes))
     raw, scale, unit = _stamps(table, file, rules)
     time, first = exact_seconds(raw, unit) if unit else (scale * raw, 0)
     there = np.flatnonzero(np.isfinite(time))
@@ -122,7 +132,10 @@ def _ordered(table: Table, name: str, file: str, stamps: Stamps, scale: float, r
     if rules.frame is None:
         refuse_bursts(name, stamps.time[~copied])
     unit = "s" if is_text(_column(table, column, file)) else rules.unit
-    refuse_implausible(name, typical_step(stamps.time), unit, rules.bounds, None if rules.frame else raw, column)
+    if rules.frame is None:
+        refuse_implausible(name, typical_step(stamps.time), unit, rules.bounds, raw, column)
+    else:
+        refuse_implausible_rate(name, column, 1 / scale, typical_step(stamps.time), rules.bounds)
     notes = [] if rules.frame or unit == "s" else suspected(name, column, raw, unit)
     stamps = without_copies(name, stamps, copied)
     motion = np.nan_to_num(table.numbers([each for each in rules.outputs if table.find(each)], name)[stamps.rows])

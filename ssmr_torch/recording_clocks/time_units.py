@@ -62,5 +62,13 @@ def refuse_implausible(name: str, interval: float, unit: str, bounds: Sequence[f
     raise ValueError(f"{found}: {guess}. Correct units.time, or widen interval_range where the value is true")
 
 
+def refuse_implausible_rate(name: str, column: str, rate: float, interval: float, bounds: Sequence[float]) -> None:
+    """Raises ValueError where frames of this rate, in Hz, come at an interval, s, that is not within `bounds`, s."""
+    if not bounds[0] <= interval <= bounds[1]:
+        raise ValueError(f"{name}: {column} counts frames {interval * rate:.4g} apart, at rate: {rate:g} that is every "
+                         f"{interval:.3g} s; expected between {bounds[0]:g} and {bounds[1]:g} s: correct rate, in Hz, "
+                         "or widen interval_range where the value is true")
+
+
 def _all_whole(stamps: np.ndarray) -> bool:
     return bool(np.all(np.mod(stamps[np.isfinite(stamps.astype(np.float64))].astype(np.float64), 1) == 0))

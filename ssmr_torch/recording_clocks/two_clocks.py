@@ -14,7 +14,8 @@ from ssmr_torch.recording_files.note import Note, rows_said
 
 OVERLAP = 0.2           # share of the shorter recording that both clocks must share
 FARTHEST = 5.0          # s, of offsets that are looked for where the clocks tell nothing
-WINDOWS, WINDOW = 8, 4.0    # stretches in which the offset is estimated, to see it drift, and s of the shortest
+WINDOWS, WINDOW = 8, 2.0    # stretches in which the offset is estimated, to see it drift, and s of the shortest
+WITHIN = 0.3            # s, by which a drift may change the offset to either side
 HELD = 2.0              # longest intervals between commands for which the last is held
 SLOWEST = 0.5           # samples by which a drift must move the inputs to be said
 AROUND = np.linspace(-1.5, 1.5, 13)     # samples around a first guess where the search begins
@@ -53,7 +54,7 @@ def joined(name: str, outputs: Clock, observation: np.ndarray, commands: Clock, 
     if not still:
         sent, base = _on_one_epoch(name, time, sent, offset)
         found = estimate(time, observation, sent, held)
-        found = found._replace(offset=found.offset + base)
+        found = found._replace(offset=base + (found.offset if found.moved or found.drifted else 0.0))
         sent = sent - base
     given = 0.0 if "auto" in (offset, drift) and not found.told else found.drift
     used = Shift(found.offset if offset == "auto" else float(offset), given if drift == "auto" else 1e-6 * float(drift))
@@ -91,7 +92,9 @@ def estimate(time: np.ndarray, observation: np.ndarray, sent: np.ndarray, inputs
         first = lag_of([(y, held(0.0, 0.0))], step, reach)
     if first.samples is None:
         return Shift()
-    offset, drift = _over_time(y, held(0.0, 0.0), grid, sent[0], step, -first.samples * step)
+    near = -first.samples * step
+    offset, drift = _over_time(y, held(near, 0.0), grid, sent[0], step)
+    offset += near
     span = grid[-1] - sent[0]
 
     def error(of) -> float:
@@ -112,20 +115,19 @@ def estimate(time: np.ndarray, observation: np.ndarray, sent: np.ndarray, inputs
     return Shift(float(at[0] * step), float(at[1] * step / span), True, moved, drifted)
 
 
-def _over_time(y: np.ndarray, u: np.ndarray, grid: np.ndarray, first: float, step: float,
-               offset: float) -> tuple[float, float]:
+def _over_time(y: np.ndarray, u: np.ndarray, grid: np.ndarray, first: float, step: float) -> tuple[float, float]:
     """(offset, drift) of a line through the offsets in stretches of the run."""
     count = int(min(WINDOWS, (grid[-1] - grid[0]) // WINDOW))
     if count < 2:
-        return offset, 0.0
+        return 0.0, 0.0
     at, seen = [], []
     for piece in np.array_split(np.arange(len(grid)), count):
-        lag = lag_of([(y[piece], u[piece])], step, max(REACH, 1.2 * abs(offset)))
+        lag = lag_of([(y[piece], u[piece])], step, WITHIN)
         if lag.samples is not None:
             at.append(grid[piece].mean() - first)
             seen.append(-lag.samples * step)
     if len(at) < 2:
-        return offset, 0.0
+        return 0.0, 0.0
     slope = float(np.median([(b - a) / (q - p) for p, a in zip(at, seen) for q, b in zip(at, seen) if q > p]))
     return float(np.median(np.array(seen) - slope * np.array(at))), slope
 

@@ -6,7 +6,7 @@ import fcntl
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from uuid import uuid4
 
@@ -77,12 +77,12 @@ class Search:
         trial, begun = self._ask(), cpu_seconds()
         try:
             score = float(job(trial.number, overrides_of(trial.params, self.fixed)))
+        except (KeyboardInterrupt, SystemExit, OSError):
+            with suppress(OSError), self._alone():  # on a full disk the next start does it
+                self._try_again(self.study.get_trials(False)[trial.number])
+            raise
         except Exception:
             self.study.tell(trial, state=TrialState.FAIL)
-            raise
-        except KeyboardInterrupt:
-            with self._alone():
-                self._try_again(self.study.get_trials(False)[trial.number])
             raise
         trial.set_user_attr(CPU, cpu_seconds() - begun)
         worst = math.inf if self.direction == "minimize" else -math.inf
@@ -142,7 +142,7 @@ class Search:
         """Say the best trial where the search is interrupted."""
         try:
             yield
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, SystemExit, OSError):
             finished = self.finished()
             if finished:
                 best = self.study.best_trial

@@ -52,7 +52,7 @@ NOWHERE = "data.path=nowhere.h5"
     ("reproduce", ["workers=0"], "workers is 0; expected")])
 def test_a_wrong_setting_is_refused_in_one_sentence_that_names_the_key(command, overrides, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    ended = run_command(command, overrides, tmp_path / "run", 10.0)
+    ended = run_command(command, overrides, tmp_path / "run", 120.0)  # much of it imports
     assert ended.how == "refused" and said in ended.said, ended
     assert ended.said.count("\n") < 3 and len(ended.said) < 420
 

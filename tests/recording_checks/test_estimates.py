@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from ssmr_torch.collection.excitation import Dithered, SmoothRandom
-from ssmr_torch.recording_checks.delay import command_delay
 from ssmr_torch.recording_checks.noise import measurement_noise
 from ssmr_torch.recording_checks.statics import turned
+from ssmr_torch.recording_clocks.onset import onset_of
 from ssmr_torch.recording_estimates.modes import slow_modes
 
 BOUNDS = np.array([[-2.0, -2.0], [2.0, 2.0]])
@@ -22,6 +22,10 @@ def smooth(rng, seconds, step):
 
 def training(data, kind=None):
     return [run.read() for run in data.select("train", kind)]
+
+
+def signals(data, kind=None):
+    return [(run.observation, run.input) for run in training(data, kind)]
 
 
 @pytest.mark.parametrize("std", [0.005, 0.02, 0.1])
@@ -53,18 +57,18 @@ def test_rounding_is_seen_with_its_step(robot):
 @pytest.mark.parametrize("inputs", ["held", "dithered"])
 def test_a_delay_is_recovered_within_a_sample(robot, late, noise, inputs):
     options = {"inputs": dithered} if inputs == "dithered" else {}
-    found = command_delay(training(robot(noise=noise, late=late, **options), "controlled"))
+    found = onset_of(signals(robot(noise=noise, late=late, **options), "controlled"))
     assert abs(found.samples - late) <= 1
 
 
 def test_a_delay_is_the_same_at_another_rate(robot):
-    assert command_delay(training(robot(step=0.02, late=5, seconds=30.0), "controlled")).samples == 5
+    assert onset_of(signals(robot(step=0.02, late=5, seconds=30.0), "controlled")).samples == 5
 
 
 def test_inputs_that_hardly_change_give_no_delay(robot):
     still = robot(inputs=lambda rng, seconds, step: np.ones((round(seconds / step), 2)) * np.linspace(
         0, 1e-6, round(seconds / step))[:, None])
-    assert command_delay(training(still, "controlled")).samples is None
+    assert onset_of(signals(still, "controlled")).samples is None
 
 
 @pytest.mark.parametrize("step", [0.005, 0.01, 0.02])

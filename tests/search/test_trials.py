@@ -169,15 +169,16 @@ def test_a_score_that_is_not_a_number_is_the_worst_and_an_error_ends_the_search(
     assert search(tmp_path / "broken").study.get_trials(False)[0].state is TrialState.FAIL
 
 
-def test_an_interrupted_trial_is_told_as_failed_at_once_and_the_best_one_is_said(tmp_path, capsys):
+@pytest.mark.parametrize("end", [KeyboardInterrupt, SystemExit, OSError])
+def test_an_interrupted_trial_is_told_as_failed_at_once_and_the_best_one_is_said(tmp_path, capsys, end):
     seen = []
 
     def interrupted(number, overrides):
         if len(seen) == 3:
-            raise KeyboardInterrupt
+            raise end
         return bowl(seen)(number, overrides)
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(end):
         search(tmp_path).run(interrupted, trials=9)
     states = [trial.state for trial in search(tmp_path).study.get_trials(False)]
     assert states == [*3 * [TrialState.COMPLETE], TrialState.FAIL, TrialState.WAITING]

@@ -1,4 +1,4 @@
-"""Estimate of the delay: how long after a command the robot moves."""
+"""The onset of a response: how many samples after a command the robot moves first."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssmr_torch.trajectory import Trajectory
+Signals = tuple[np.ndarray, np.ndarray]  # observation (T, p) and input (T, m) at even times
 
 EARLIEST, LATEST = -40, 40  # samples
 PAST = 6                    # number of past outputs from which the prediction is made
@@ -21,7 +21,7 @@ LAST = 4                    # last lags, which stand for all earlier inputs and 
 CHANCE = 6.0                # multiple of the mean that an input explains by chance
 
 
-class Delay(NamedTuple):
+class Onset(NamedTuple):
     """samples: number of samples between a command and the first motion; 0 if input[k] already acts on
     observation[k + 1]; None if it cannot be estimated. gain: (lags, ratio), by which factor the inputs up to each lag
     reduce the residual.
@@ -32,18 +32,18 @@ class Delay(NamedTuple):
     residual: np.ndarray
 
 
-def command_delay(runs: Sequence[Trajectory]) -> Delay:
+def onset_of(runs: Sequence[Signals], earliest: int = EARLIEST) -> Onset:
     """The smallest lag at which inputs matter: y[k+s] is regressed on the past of y and on inputs u[k+s-1-j].
 
     The inputs are added from the earliest to the latest, one block per lag j. The residuals of all these nested
     regressions come from one QR decomposition. The delay is the smallest lag that still lowers the residual by more
     than `SIGNIFICANT`, by more than chance, and by more than `ONSET` of the most informative lag. The smallest delay
-    over several steps s ahead counts, because noise can only hide an effect.
+    over several steps s ahead counts, because noise can only hide an effect. Lags from `earliest` on are looked at.
     """
-    runs = [run for run in runs if run.length > LATEST + 4 * PAST and np.ptp(run.input, axis=0).max() > 0]
-    lags = np.arange(EARLIEST, LATEST + 1)
+    runs = [(y, u) for y, u in runs if len(y) > LATEST + 4 * PAST and np.ptp(u, axis=0).max(initial=0.0) > 0]
+    lags = np.arange(earliest, LATEST + 1)
     if not runs:
-        return Delay(None, lags, np.full(len(lags), np.nan))
+        return Onset(None, lags, np.full(len(lags), np.nan))
     best, shown = None, None
     for ahead in AHEAD:
         residual, chance = _nested(runs, ahead, lags)
@@ -53,31 +53,31 @@ def command_delay(runs: Sequence[Trajectory]) -> Delay:
         if found is not None and (best is None or found < best):
             best, shown = found, residual
         shown = residual if shown is None else shown
-    return Delay(best, lags, shown / shown[0])
+    return Onset(best, lags, shown / shown[0])
 
 
-def _nested(runs: Sequence[Trajectory], ahead: int, lags: np.ndarray) -> tuple[np.ndarray, float]:
+def _nested(runs: Sequence[Signals], ahead: int, lags: np.ndarray) -> tuple[np.ndarray, float]:
     """Residual with the inputs of lag j and later, for each j, and its expected change by chance."""
-    scale = np.std(np.concatenate([run.observation for run in runs]), axis=0)
+    scale = np.std(np.concatenate([y for y, _ in runs]), axis=0)
     known, targets = [], []
-    for run in runs:
-        first, last = lags[-1] + PAST + ahead, run.length + min(lags[0], 0) - 1
+    for observation, inputs in runs:
+        first, last = lags[-1] + PAST + ahead, len(observation) + min(lags[0], 0) - 1
         rows = np.arange(first, last)  # rows of the target
-        every = max(1, sum(each.length for each in runs) // ROWS)
+        every = max(1, sum(len(y) for y, _ in runs) // ROWS)
         rows = rows[::every]
-        y = run.observation / scale
+        y = observation / scale
         past = y[(rows - ahead)[:, None] - np.arange(PAST)].reshape(len(rows), -1)
-        commands = [run.input[rows - 1 - lag] for lag in lags[::-1]]
+        commands = [inputs[rows - 1 - lag] for lag in lags[::-1]]
         known.append(np.hstack([past, np.ones((len(rows), 1)), *commands]))
         targets.append(y[rows] - y[rows - ahead])
     known, targets = np.concatenate(known), np.concatenate(targets)
     known = known + 1e-9 * np.std(known, axis=0) * np.random.default_rng(0).normal(size=known.shape)
-    width, inputs = known.shape[1], runs[0].input.shape[1]
+    width, columns = known.shape[1], runs[0][1].shape[1]
     if len(known) < 2 * width:
         return np.ones(len(lags)), np.inf
     triangle = np.linalg.qr(np.hstack([known, targets]), mode="r")
     explained = np.sum(triangle[:width, width:] ** 2, axis=1)
     rest = np.sum(triangle[width:, width:] ** 2) + FLOOR * np.sum(targets ** 2)
     remaining = rest + np.sum(explained) - np.cumsum(explained)
-    before = width - inputs * len(lags)
-    return remaining[before + inputs - 1::inputs][::-1], CHANCE * inputs / len(known)
+    before = width - columns * len(lags)
+    return remaining[before + columns - 1::columns][::-1], CHANCE * columns / len(known)
