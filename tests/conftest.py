@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from functools import partial
@@ -25,6 +26,11 @@ from ssmr_torch.control.disturbance_observer import DisturbanceObserver
 from ssmr_torch.control.mpc_settings import PredictiveControlSettings
 from ssmr_torch.data.windows import SegmentDataset
 from ssmr_torch.fitting.closed_form_fit import ExactSolve
+
+# A shell starts what runs in the background with these two ignored, and the tests of signals are about them.
+for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(number) == signal.SIG_IGN:
+        signal.signal(number, handler)
 
 configuration.register()
 ROOT = Path(__file__).resolve().parents[1]
