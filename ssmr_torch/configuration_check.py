@@ -10,6 +10,7 @@ import inspect
 from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from functools import cache
+from importlib import import_module
 from pkgutil import resolve_name
 
 from ssmr_torch.checked_arguments import ranges_of
@@ -108,13 +109,26 @@ def exists(target: str) -> bool:
         return True
     try:
         resolve_name(target)
-    except ModuleNotFoundError as error:
-        return error.name is not None and not f"{target}.".startswith(f"{error.name}.")
-    except (AttributeError, ValueError):
-        return False
-    except ImportError:
-        return True
+    except (ImportError, AttributeError, ValueError):
+        return _lacks_a_library(target)
     return True
+
+
+def _lacks_a_library(target: str) -> bool:
+    """Whether a module on the way to a name exists and imports what is not installed; `resolve_name` does not say."""
+    parts = target.split(".")
+    for count in range(len(parts) - 1, 0, -1):
+        try:
+            import_module(".".join(parts[:count]))
+            return False
+        except ModuleNotFoundError as error:
+            if error.name and not f"{target}.".startswith(f"{error.name}."):
+                return True
+        except ImportError:
+            return True
+        except ValueError:
+            return False
+    return False
 
 
 @cache

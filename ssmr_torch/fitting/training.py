@@ -118,7 +118,8 @@ def neural_ode_start(model: NeuralODE, *, ridge: float | Sequence | Mapping = RI
 def train(dataset: TrajectoryDataset, *, model: Callable[..., TorchModel],
           fits: Mapping[str, Callable[..., ModelFit]], module: Callable[..., TrajectoryDataModule],
           trainer: Callable[..., lightning.Trainer], directory: str | Path, name: str = "SSMR",
-          loggers: list | bool = False, resume: bool = False, origin: dict | None = None) -> Training:
+          loggers: list | bool = False, resume: bool = False, origin: dict | None = None,
+          starting: Callable[[], object] = lambda: None) -> Training:
     """Fit one model by each of `fits` in turn, score it, and report on the fits.
 
     name: name of the model in tables and figures. model, fits, module, trainer: callables, each a class, a function or
@@ -129,7 +130,8 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., TorchModel],
     for a closed-form fit. A refinement that does not lower the validation error is undone. A fit with 0 epochs is left
     out. The fitted model goes to directory/model.ckpt. origin: provenance of this training with its configuration; it
     is stored in the checkpoints. resume: continue from existing checkpoints, with the result of a training that was not
-    interrupted; other data, another configuration and another version are refused, see `resumption`.
+    interrupted; other data, another configuration and another version are refused, see `resumption`. starting: called
+    once, before the first fit, when nothing is refused any more.
     Raises ValueError for data or options that cannot be fitted, before any work.
     """
     directory = Path(directory)
@@ -154,6 +156,8 @@ def train(dataset: TrajectoryDataset, *, model: Callable[..., TorchModel],
         prepared.prepare(fit)
         if not (begun or resume) and rank_zero_only.rank == 0:
             resumption.begin(folder, decisive)  # here, as a refusal leaves what an earlier run has made
+        if not begun:
+            starting()
         begun = True
         scores, undone = _run(fit, prepared, trainer, folder / step, loggers, resume)
         fit_time += fit.spent

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,17 +52,12 @@ def run_training(dataset: TrajectoryDataset, configuration: Mapping, *, kind: st
     further = () if study is None else study.observing(dataset.output_names).select(kind="controlled")
     origin = provenance(configuration) | {"name": name, "kind": kind}
     resume = configuration["resume"] and (not several or was_begun(directory / "checkpoints"))
-    try:
-        for logger in loggers:
-            logger.log_hyperparams(configuration)
+    with ExitStack() as logging:
         training = train(dataset, model=model, module=module, fits=fits, trainer=trainer, directory=directory,
-                         name=name, loggers=loggers, resume=resume, origin=origin)
+                         name=name, loggers=loggers, resume=resume, origin=origin,
+                         starting=lambda: _log(loggers, configuration, logging))
         if rank_zero_only.rank > 0:
             return None
-    finally:
-        for logger in loggers:
-            logger.finalize("success")
-            getattr(logger.experiment, "finish", lambda: None)()
     found = {"scores": training.scores, "cost": training.cost, "provenance": origin}
     save_json(directory / "report.json", training.report | found)
     if configuration["figures"]:
@@ -69,6 +65,18 @@ def run_training(dataset: TrajectoryDataset, configuration: Mapping, *, kind: st
     by_run = score_runs(name, training.model, further, dataset.select("train", "controlled"),
                         starts=configuration["module"]["starts"], seed=seed)
     return TrainingRun(training, metric, compared(metric, training.scores, searched), by_run)
+
+
+def _log(loggers: Sequence, configuration: Mapping, ending: ExitStack) -> None:
+    """Begin to log. A logger deletes the metrics of an earlier run in its folder, which a refused one must not do."""
+    for logger in loggers:
+        ending.callback(_finish, logger)
+        logger.log_hyperparams(configuration)
+
+
+def _finish(logger) -> None:
+    logger.finalize("success")
+    getattr(logger.experiment, "finish", lambda: None)()
 
 
 def compared(metric: str, scores: Mapping[str, float], searched: bool) -> float | None:

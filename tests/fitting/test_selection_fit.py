@@ -197,12 +197,6 @@ def copied(run):
     return run[0], run[1][:, [0, 1, 0]], run[2]
 
 
-def holed(run):
-    y = run[1].copy()
-    y[40, 1] = np.nan
-    return run[0], y, run[2]
-
-
 def two_samples(run):
     return run[0], run[1][100:102], run[2][100:102]
 
@@ -213,10 +207,9 @@ def alike(run):
 
 @pytest.mark.parametrize(("given", "says"), [
     ({"change": constant}, "inputs that never change.*leave these columns out or record runs that use them"),
-    ({"change": lost, "decays": 0}, "outputs that never move.*: y3.*leave these columns out"),
+    ({"change": lost, "decays": 0}, "y3 never moves in any run.*leave it out"),
     ({"change": copied, "decays": 0}, "output y3 is a copy of y1.*leave it out"),
-    ({"change": holed}, "NaN|not finite|missing"),
-    ({"change": alike, "decays": 0}, "all 3 runs have the same contents; record runs that differ"),
+    ({"change": alike, "decays": 0}, "the test run .* are those of the training run .*record another run"),
     ({"change": two_samples, "decays": 0}, "has 2 samples; a start needs 20 before and 50 after it.*longer runs"),
 ])
 def test_recordings_without_information_are_refused_with_the_remedy(few, given, says):
