@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +15,7 @@ except ImportError:  # there are no such locks, and no command is refused
     fcntl = None
 
 LOCK = ".lock"  # only where the file system cannot lock a folder itself, as NFS
-UNFINISHED = ".*.part"  # what a killed command has left, see `result_files.written_aside`
+UNFINISHED = ".*.part"  # what a killed command has left, see `result_files` and `whole_directory`
 RANKS = ("LOCAL_RANK", "NODE_RANK", "SLURM_PROCID")  # of the processes of one distributed training
 BUSY = (errno.EWOULDBLOCK, errno.EACCES)
 
@@ -44,7 +45,7 @@ def lock(directory: str | Path, *, shared: bool = False) -> bool:
     _held[key] = _locked(Path(key, LOCK), os.O_RDWR | os.O_CREAT, shared) if handle is None else handle
     if not shared:
         for left in Path(key).glob(UNFINISHED):
-            left.unlink(missing_ok=True)
+            shutil.rmtree(left, ignore_errors=True) if left.is_dir() else left.unlink(missing_ok=True)
     return True
 
 

@@ -62,6 +62,7 @@ def test_a_directory_is_taken_once_by_a_process_and_given_back_by_who_took_it(tm
 def test_what_a_killed_command_had_not_finished_is_removed(tmp_path):
     (tmp_path / ".model.ckpt.0123456789ab.part").write_bytes(b"half")
     (tmp_path / "model.ckpt").write_bytes(b"whole")
+    (tmp_path / ".artifact.x0123456.part" / "new").mkdir(parents=True)
     with alone_in(tmp_path):
         assert [path.name for path in tmp_path.iterdir()] == ["model.ckpt"]
 

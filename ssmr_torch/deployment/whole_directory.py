@@ -25,7 +25,7 @@ def whole_directory(directory: str | Path, refuse: Callable[[Path], None] = lamb
     """
     directory = Path(os.path.realpath(directory))
     directory.parent.mkdir(parents=True, exist_ok=True)
-    within = Path(tempfile.mkdtemp(prefix=f".{directory.name[:100]}.", dir=directory.parent))
+    within = Path(tempfile.mkdtemp(".part", f".{directory.name[:100]}.", directory.parent))
     aside = within / "new"
     try:
         aside.mkdir()

@@ -81,7 +81,7 @@ def of_control(directory: Path):
 
 
 def of_report(directory: Path):
-    page = (directory.parent / "report.html").read_text(encoding="utf-8")
+    page = (directory.parent / "inputs" / "report.html").read_text(encoding="utf-8")
     return page.count("<svg"), page.count("<table"), page.rstrip().endswith("</html>")
 
 
@@ -94,7 +94,7 @@ PRODUCTS: dict[tuple[str, bool], Callable] = {
 def unreadable(directory: Path, *, leftovers: bool = False) -> str:
     """What is half written in a directory; "" where nothing is. leftovers: whether a file may wait for its renaming."""
     for path in sorted(directory.rglob("*")):
-        unfinished = ".part" in path.name or any(part.startswith(".artifact.") for part in path.parts)
+        unfinished = any(".part" in part for part in path.relative_to(directory).parts)
         if not path.is_file() or set(path.relative_to(directory).parts) & set(LOGS) or leftovers and unfinished:
             continue
         if unfinished:

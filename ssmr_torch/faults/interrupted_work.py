@@ -73,7 +73,7 @@ COMMANDS = {each.name: each for each in (
     Interrupted("design", ("design", DATA, "model=dmd", "task=circle", "plant=slow_manifold", "progress=false",
                            "outputs=[tip_x,tip_y,tip_z]", "task.laps=1"), ("collect",)),
     Interrupted("control", ("control", ARTIFACT, "task.laps=1", "progress=false"), ("export",)),
-    Interrupted("report", ("report", "directory=."), ("evaluate",)))}
+    Interrupted("report", ("report", "directory=inputs"), ("evaluate",)))}
 
 
 def interrupted(count: int, seed: int) -> list[dict]:
