@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ssmr_torch.recording_faults.continuity import FEWEST, gaps, limits, pieces
+from ssmr_torch.recording_faults.continuity import FEWEST, WINDOW, gaps, limits, pieces
 from ssmr_torch.recording_faults.recording import Recording
 from ssmr_torch.recording_faults.treatment import BRIDGED, treated
 from ssmr_torch.recording_files.note import rows_said
@@ -16,6 +16,8 @@ LONGEST = 0.25      # of the rows of a run that such a stretch may have
 AWAY = 0.3          # of the deviation, that the gap across a stretch may have
 NEAR = 6            # rows between two jumps of one stretch of disorder
 DISORDER = 4        # jumps that make one
+ISOLATED = 0.5      # of the jumps at both ends of a long stretch, below which all others around must stay
+LARGE = 0.1         # of the reach, that these jumps must have
 FAST, FAR = 4.0, 0.3    # times the 95 % quantile of the steps, and of the reach, that no robot moves in one row
 LASTING, LASTS = 2.0, 0.05  # times the limit of a jump, and of the reach, from which one without return is cut
 
@@ -57,11 +59,13 @@ def _left(time: np.ndarray, y: np.ndarray, reach: float) -> tuple[np.ndarray, di
     steps = np.abs(np.diff(y, axis=0, prepend=y[:1]))
     fast = steps > np.maximum(FAST * np.quantile(steps, 0.95, axis=0), FAR * reach)
     jumps = np.flatnonzero(((np.abs(found) > limit) | fast).any(axis=1))
+    wild = fast.any(axis=1) | (np.abs(found) > np.maximum(limit, np.quantile(steps, 0.98, axis=0))).any(axis=1)
     bad, lasting = np.zeros(y.shape, dtype=bool), {}
     place = 0
     while place < len(jumps):
-        first = jumps[place]
-        stop = _return(time, y, found, limit, first, jumps[place + 1:])
+        first, later = jumps[place], jumps[place + 1:]
+        stop = (_short(time, y, found, limit, first, later) or _disorder(wild, first, later)
+                or _long(found, limit, reach, first, later))
         if stop is not None:
             columns = (np.abs(found[[first, stop]]) > limit[[first, stop]]).any(axis=0)
             bad[first:stop] |= columns if columns.any() else True
@@ -74,25 +78,42 @@ def _left(time: np.ndarray, y: np.ndarray, reach: float) -> tuple[np.ndarray, di
     return bad | _ends(time, y, limit, bad.any(axis=1)), lasting
 
 
-def _return(time, y, found, limit, first: int, later: np.ndarray) -> int | None:
-    """The row at which the motion goes on that it left at `first`, or None."""
+def _short(time, y, found, limit, first: int, later: np.ndarray) -> int | None:
+    """The row at which a motion goes on that was left at `first` for up to `BRIDGED` rows, or None."""
     for stop in later[later <= first + BRIDGED]:
         columns = (np.abs(found[[first, stop]]) > limit[[first, stop]]).any(axis=0)
         across, away = _across(time, y, first, stop, columns)
         if columns.any() and away > across and across <= max(AWAY * away, np.linalg.norm(limit[first, columns])):
             return int(stop)
+    return None
+
+
+def _disorder(wild: np.ndarray, first: int, later: np.ndarray) -> int | None:
+    """The end of many jumps close together, or None; they must be larger than the steps of a fast motion."""
     close = first
     for count, jump in enumerate(later, start=2):
-        if jump - close > NEAR:
+        if not wild[close] or jump - close > NEAR:
             break
         close = jump
         if count >= DISORDER and (count == len(later) + 1 or later[count - 1] - jump > NEAR):
             return int(close)
-    columns = np.abs(found[first]) > limit[first]
-    for stop in later[later <= first + LONGEST * len(y)]:
-        apart = np.linalg.norm(found[first] + found[stop])
-        if columns.any() and apart <= ALIKE * np.linalg.norm(found[first, columns]) and stop > first + BRIDGED:
-            return int(stop)
+    return None
+
+
+def _long(found, limit, reach: float, first: int, later: np.ndarray) -> int | None:
+    """The end of a longer stretch with equal and opposite jumps at both ends, or None.
+
+    A robot that moves by quick steps has many jumps; therefore none around may be half as large as these two.
+    """
+    columns, size = np.abs(found[first]) > limit[first], float(np.linalg.norm(found[first]))
+    if not columns.any() or size < LARGE * reach:
+        return None
+    for stop in later[(later > first + BRIDGED) & (later <= first + LONGEST * len(found))]:
+        if np.linalg.norm(found[first] + found[stop]) <= ALIKE * np.linalg.norm(found[first, columns]):
+            around = np.linalg.norm(found[max(0, first - WINDOW):stop + WINDOW + 1], axis=1)
+            own = np.array([first, stop]) - max(0, first - WINDOW)
+            beside = np.abs(np.arange(len(around))[:, None] - own).min(axis=1) > 1
+            return int(stop) if around[beside].max(initial=0.0) < ISOLATED * size else None
     return None
 
 
