@@ -38,8 +38,10 @@ class Hand:
         return None if data is None else unpack(data)
 
     def measure(self, number, values=(1.0, 2.0), run=None):
-        self.link.send(Message(Kind.MEASUREMENT, self.run if run is None else run, number, 5 + 0.01 * number,
-                               values=np.array(values)))
+        message = Message(Kind.MEASUREMENT, self.run if run is None else run, number, 5 + 0.01 * number,
+                          values=np.array(values))
+        while not self.link.send(message):  # its few places for unsent messages are taken on a busy computer
+            time.sleep(1e-3)
 
 
 @pytest.fixture
