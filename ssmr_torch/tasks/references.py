@@ -46,6 +46,8 @@ class Task(DataSheet):
     def __post_init__(self):
         object.__setattr__(self, "tracked", tuple(self.tracked))
         object.__setattr__(self, "obstacles", tuple(self.obstacles or ()))
+        if not all(isinstance(each, Circle) or hasattr(each, "normal") for each in self.obstacles):
+            raise ValueError(f"obstacles is {list(self.obstacles)!r}; expected a list of circles and half-planes")
         if not (np.isfinite(self.duration) and self.duration > 0):
             raise ValueError(f"task {self.name!r} lasts {self.duration} s; expected a positive time")
         if not self.tracked or len(set(self.tracked)) != len(self.tracked):

@@ -10,7 +10,7 @@ from ssmr_torch.lazy import found
 
 FAST = ("dialect_trials", "card_trials", "container_trials", "tool_trials")
 SLOW = ("measurement_trials", "level_trials", "missing_row_trials", "clock_trials", "two_clock_trials", "clean_trials")
-EVERY = 8  # of these, which take a fit each, one in so many
+EVERY = 16  # of these, which take a fit each, one in so many
 FITTED = "inside the last number"
 
 
@@ -48,5 +48,5 @@ def test_hostile_frames_are_counted_and_an_honest_robot_gets_its_commands():
 
 @pytest.mark.slow
 def test_no_exception_leaves_a_controller_and_every_input_is_within_its_bounds():
-    found_rows = steps(800)
+    found_rows = steps(200)
     assert len(found_rows) == 4 and {row["outcome"] for row in found_rows} == {"survived"}, found_rows
