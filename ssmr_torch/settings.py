@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import fields, replace
 from difflib import get_close_matches
-from numbers import Real
 from typing import Self
 
 import numpy as np
 
 from ssmr_torch.data_sheet import DataSheet
+from ssmr_torch.ranges import is_number
 
 
 class Settings(DataSheet):
@@ -39,28 +39,28 @@ def refuse_unknown(whose: str, given: Iterable[str], known: list[str]) -> None:
 
 def whole(name: str, value, *, least: int) -> int:
     """Raises ValueError unless value is a whole number of at least `least`."""
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real) or value != value // 1 or value < least:
+    if not is_number(value) or value != value // 1 or value < least:
         raise ValueError(f"{name} is {value!r}; expected a whole number, {least} or more")
     return int(value)
 
 
 def positive(name: str, value, unit: str = "") -> float:
     """Raises ValueError unless value is a positive and finite number."""
-    if not (_is_number(value) and 0 < value < np.inf):
+    if not (is_number(value) and 0 < value < np.inf):
         raise ValueError(f"{name} is {_shown(value, unit)}; expected a positive and finite number")
     return float(value)
 
 
 def non_negative(name: str, value, unit: str = "") -> float:
     """Raises ValueError unless value is a finite number of 0 or more."""
-    if not (_is_number(value) and 0 <= value < np.inf):
+    if not (is_number(value) and 0 <= value < np.inf):
         raise ValueError(f"{name} is {_shown(value, unit)}; expected a finite number, 0 or more")
     return float(value)
 
 
 def at_least(name: str, value, least: float, unit: str = "") -> float:
     """Raises ValueError unless value is a number of `least` or more; it may be infinite."""
-    if not (_is_number(value) and value >= least):
+    if not (is_number(value) and value >= least):
         raise ValueError(f"{name} is {_shown(value, unit)}; expected {least} or more")
     return float(value)
 
@@ -68,12 +68,8 @@ def at_least(name: str, value, least: float, unit: str = "") -> float:
 def positive_or_none(name: str, value, unit: str = "") -> float | tuple[float, ...] | None:
     """One positive and finite number, a tuple of them (one per input), or None. Raises ValueError for other values."""
     if value is None or np.ndim(value) == 0:
-        return None if value is None else positive(name, value if _is_number(value) else np.asarray(value)[()], unit)
+        return None if value is None else positive(name, value if is_number(value) else np.asarray(value)[()], unit)
     return tuple(positive(f"{name}[{i}]", each, unit) for i, each in enumerate(np.asarray(value).tolist()))
-
-
-def _is_number(value) -> bool:
-    return isinstance(value, Real) and not isinstance(value, (bool, np.bool_))
 
 
 def _shown(value, unit: str) -> str:

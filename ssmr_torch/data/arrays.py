@@ -18,7 +18,7 @@ from ssmr_torch.recording_clocks.seconds import clock_of
 from ssmr_torch.recording_faults.copies import without_copies
 from ssmr_torch.recording_faults.mending import compared, mended
 from ssmr_torch.recording_faults.moving_decays import moving_decays
-from ssmr_torch.recording_faults.recording import Recording
+from ssmr_torch.recording_faults.recording import Recording, longest
 from ssmr_torch.recording_faults.rules import FaultRules
 from ssmr_torch.recording_files.table import Table
 from ssmr_torch.trajectory import TrajectoryDataset
@@ -75,18 +75,13 @@ def trajectories(*, decays: Runs = (), controlled: Runs = (), validation: Runs =
     input_names = _common("input", runs, [run.input for run in runs], input_names)
     clock = ClockRules("t", measured.time, None, None, None, stamps, same_stamp, interval_range, tuple(output_names))
     recordings = [run.recording(output_names, input_names, measured, clock) for run in runs]
-    rules, provenance = FaultRules.of(faults or {}).judging(longest(recordings)), _provenance(recordings, measured)
+    rules, provenance = FaultRules.of(faults or {}, longest(recordings)), _provenance(recordings, measured)
     recordings = _without_faults(recordings, input_names, rules, missing, measured)
     origin = np.zeros(len(output_names)) if rest is None else measured.scale("length") * _vector(rest, output_names)
     plausible = Plausible((range[0], range[1]), (interval_range[0], interval_range[1]), largest_input)
     dataset = assemble(recordings, origin, output_names, input_names, measured,
                        SamplingRule("resample", timestep, minimum_length=minimum_length), provenance, plausible)
     return with_lag(without_copies(dataset, rules.copies), input_lag)
-
-
-def longest(recordings: Sequence[Recording]) -> int:
-    """Rows of the longest of them."""
-    return max(len(each.time) for each in recordings)
 
 
 def _provenance(recordings: Sequence[Recording], units: Units) -> dict:

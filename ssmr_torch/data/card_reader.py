@@ -24,7 +24,8 @@ from ssmr_torch.recording_clocks.seconds import clock_of
 from ssmr_torch.recording_faults.copies import without_copies
 from ssmr_torch.recording_faults.mending import compared, mended
 from ssmr_torch.recording_faults.moving_decays import moving_decays
-from ssmr_torch.recording_faults.recording import Recording
+from ssmr_torch.recording_faults.recording import Recording, longest
+from ssmr_torch.recording_faults.rules import FaultRules
 from ssmr_torch.recording_files.reading import read_tables
 from ssmr_torch.recording_files.table import Table
 from ssmr_torch.trajectory import TrajectoryDataset
@@ -52,7 +53,7 @@ def custom(card: str | Path) -> TrajectoryDataset:
     plausible = Plausible(tuple(described.range), tuple(described.interval_range), described.largest_input)
     # Before the rest position: resting samples are found by how long they last.
     refuse_wrong_clock(recordings, described.units, plausible)
-    rules = described.rules.judging(max(len(each.time) for each in recordings))
+    rules = FaultRules.of(described.faults, longest(recordings))
     recordings = mended(moving_decays(recordings, described.columns.input, rules.moving_decays), rules,
                         described.missing)
     rest, assumed = _rest(recordings, described)

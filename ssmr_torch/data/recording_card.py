@@ -177,11 +177,6 @@ class RecordingCard(Card):
     largest_input: FiniteFloat | None = Field(None, gt=0, description="a positive number in N or 1")
     symmetry: dict = Field({}, description="keys and values, as {angle: 90, axis: [0, 0, 1], inputs: [b, a]}")
 
-    @property
-    def rules(self) -> FaultRules:
-        """What is done about each kind of fault."""
-        return FaultRules.of(self.faults)
-
     @field_validator("missing")
     @classmethod
     def _known_missing(cls, missing):

@@ -52,10 +52,10 @@ def run_training(dataset: TrajectoryDataset, configuration: Mapping, *, kind: st
     further = () if study is None else study.observing(dataset.output_names).select(kind="controlled")
     origin = provenance(configuration) | {"name": name, "kind": kind}
     resume = configuration["resume"] and (not several or was_begun(directory / "checkpoints"))
-    with ExitStack() as logging:
+    with ExitStack() as ending:
         training = train(dataset, model=model, module=module, fits=fits, trainer=trainer, directory=directory,
                          name=name, loggers=loggers, resume=resume, origin=origin,
-                         starting=lambda: _log(loggers, configuration, logging))
+                         starting=lambda: _log(loggers, configuration, ending))
         if rank_zero_only.rank > 0:
             return None
     found = {"scores": training.scores, "cost": training.cost, "provenance": origin}

@@ -72,3 +72,8 @@ class Recording:
         """Names of the columns where `which` (p,) is true, as "x and z"; "" for all of them."""
         names = self.output_names or tuple(f"y{number}" for number in range(1, len(which) + 1))
         return "" if which.all() else " and ".join(name for name, each in zip(names, which) if each)
+
+
+def longest(recordings: Sequence[Recording]) -> int:
+    """Rows of the longest of them."""
+    return max(len(each.time) for each in recordings)

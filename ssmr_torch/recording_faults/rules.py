@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Self
 
 CHOICES = {
@@ -54,22 +54,15 @@ class FaultRules:
             if value not in known:
                 raise ValueError(f"faults.{field.name} is {value!r}; expected one of {', '.join(known)}")
 
-    def judging(self, rows: int) -> Self:
-        """The rules for recordings whose longest run has so many rows.
-
-        Statistics need samples: below `FEW` rows, what is refused by comparison is kept and said.
-        """
-        if rows >= FEW:
-            return self
-        return replace(self, **{fault: "keep" for fault in BY_COMPARISON if getattr(self, fault) == "refuse"})
-
     @classmethod
-    def of(cls, given: Mapping[str, str]) -> Self:
+    def of(cls, given: Mapping[str, str], rows: int = FEW) -> Self:
         """The rules that are given by name, and the defaults of the others.
 
-        Raises ValueError for an unknown fault or rule.
+        rows: of the longest run. Statistics need samples: below `FEW` rows, what is refused by comparison by default is
+        kept and said. Raises ValueError for an unknown fault or rule.
         """
         unknown = [str(key) for key in given if key not in CHOICES]
         if unknown:
             raise ValueError(f"faults has the unknown key {unknown[0]!r}; known keys: {', '.join(CHOICES)}")
-        return cls(**given)
+        few = dict.fromkeys(BY_COMPARISON, "keep") if rows < FEW else {}
+        return cls(**few | dict(given))

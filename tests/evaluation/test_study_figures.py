@@ -36,9 +36,10 @@ FIGURES = {
     [job("SSMR", None)], [job("SSMR", float("inf")), job("EDMD", float("nan"))], [job("SSMR", 0.0)],
     [job("SSMR", 1e-3) | {"fit_time": 0.0, "controlled_samples": 0.0}]], ids=["lost", "infinite", "zero", "no cost"])
 def test_a_sweep_of_which_no_job_has_a_place_on_a_logarithmic_axis_is_drawn(rows, tmp_path):
-    figures.save(study_figures.ranking(rows, "validation/rmse"), tmp_path / "ranking.svg")
+    ranking = figures.save(study_figures.ranking(rows, "validation/rmse"), tmp_path / "ranking.svg")
     lost = [point(row["model"], 1.0, row["validation/rmse"]) for row in rows]
-    figures.save(study_figures.trend(lost, "noise", "noise (m)"), tmp_path / "trend.svg")
+    trend = figures.save(study_figures.trend(lost, "noise", "noise (m)"), tmp_path / "trend.svg")
+    assert all(rows[0]["model"] in path.read_text() for path in (ranking, trend))
 
 
 def line(axes, label):

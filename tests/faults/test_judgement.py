@@ -140,7 +140,7 @@ def test_a_campaign_with_wrong_outcomes_says_how_many(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("rows", "rule"), [(49, "keep"), (50, "refuse")])
-def test_nothing_is_refused_by_comparison_where_no_run_has_fifty_rows(rows, rule):
-    rules = FaultRules(outliers="refuse").judging(rows)
-    assert rules.dead_columns == rules.moving_decays == rules.copies == rule
-    assert rules.outliers == "refuse" and rules.drift == "keep"
+def test_by_default_nothing_is_refused_by_comparison_where_no_run_has_fifty_rows(rows, rule):
+    rules = FaultRules.of({"outliers": "refuse", "copies": "refuse"}, rows)
+    assert rules.dead_columns == rules.moving_decays == rules.rest_position == rule
+    assert rules.outliers == rules.copies == "refuse" and rules.drift == "keep", "what is given counts"
