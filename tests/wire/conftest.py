@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from wire.in_words import Echo, Talk
 
 from ssmr_torch.control.mpc import ModelPredictiveController
+from ssmr_torch.wire.controller_end import ControllerEnd
 from ssmr_torch.wire.link import ControllerLink, RobotLink
 from ssmr_torch.wire.messages import Kind, Message, RobotDescription, unpack
 from ssmr_torch.wire.robot_end import RobotEnd
@@ -148,3 +150,21 @@ def background():
 def hello(integrator):
     """The bytes of the integrator's HELLO, with changes: hello(real_time=True, timestep=0.02)."""
     return lambda **changes: Message(Kind.HELLO, text=replace(RobotDescription.of(integrator), **changes).text).pack()
+
+
+@pytest.fixture
+def echo():
+    return Echo()
+
+
+@pytest.fixture
+def end(echo):
+    return ControllerEnd(lambda robot: echo, timeout=0.1, patience=10.0)
+
+
+@pytest.fixture
+def paced(end, hello):
+    """A robot in real time that has sent measurement 0 at 0 s; the next is due at 0.01 s and missed from 0.015 s on."""
+    talk = Talk(end, hello(real_time=True))
+    talk.measure(0, at=0.0)
+    return talk

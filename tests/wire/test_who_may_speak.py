@@ -4,28 +4,11 @@ import logging
 
 import numpy as np
 import pytest
-from wire.test_controller_end import Echo, H, Talk
+from wire.in_words import Echo, H, Talk
 
 from ssmr_torch.closed_loop.wire_record import without_holes
 from ssmr_torch.wire.controller_end import GIVES_WAY, ControllerEnd
 from ssmr_torch.wire.messages import Code, Kind, Message
-
-
-@pytest.fixture
-def echo():
-    return Echo()
-
-
-@pytest.fixture
-def end(echo):
-    return ControllerEnd(lambda robot: echo, timeout=0.1, patience=10.0)
-
-
-@pytest.fixture
-def paced(end, hello):
-    talk = Talk(end, hello(real_time=True))
-    talk.measure(0, at=0.0)
-    return talk
 
 
 def request(hello, number):
