@@ -77,8 +77,8 @@ def _stretches(rows: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _picture(recording: Recording, bad: np.ndarray, first: int) -> dict:
-    """The column with most bad values around the first of them, as it was recorded."""
-    column = int(bad.sum(axis=0).argmax())
+    """The column of the first bad value, as it was recorded around it."""
+    column = int(bad[first].argmax())
     rows = np.arange(max(0, first - SHOWN), min(len(bad), first + SHOWN))
     values = [float(f"{value:.5g}") if np.isfinite(value) else None for value in recording.observation[rows, column]]
     return {"column": column, "first_row": int(recording.rows[rows[0]]), "recorded_m": values}

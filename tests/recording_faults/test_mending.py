@@ -35,6 +35,16 @@ def test_one_wrong_row_is_found_and_bridged_or_cut_at_the_ends(make_rig, row, si
     assert note.done == ("cut" if row in (0, 1, 1498, 1499) else "bridged")
 
 
+def test_the_picture_of_a_fault_shows_the_column_that_is_wrong_in_its_first_row(make_rig):
+    rig = make_rig()
+    true = rig.runs["c1"].observation.copy()
+    rig.change("c1", 700, true[700, 0] + 0.03, 0)
+    rig.change("c1", slice(900, 903), true[900:903, 1] - 0.02, 1)
+    shown = only(mended(rig.recordings)).numbers
+    assert shown["column"] == 0
+    assert shown["recorded_m"][700 - shown["first_row"]] == pytest.approx(true[700, 0] + 0.03, rel=1e-4)
+
+
 @pytest.mark.parametrize("token", [0.0, -1e-3, 1e6])
 @pytest.mark.parametrize("count", [1, 5, 300])
 def test_a_value_for_not_seen_is_bridged_where_it_is_short_and_else_cut_at_both_ends(rig, token, count):
